@@ -18,8 +18,8 @@ from postproc.dialects.krl.read.run import Run
 def undecided_error(run: Run, place: Place, bounds: Sequence[Value] = ()) -> InexactError:
     """Return the error for the condition of a statement, or the bounds of a FOR, that are not known before run time.
 
-    :param place: the statement.
-    :param bounds: the bounds of a FOR that may be unknown; empty: all values of the statement.
+    :param place: file and line of the statement.
+    :param bounds: the bounds of a FOR that may be unknown; empty: all expressions of the statement.
     """
     stmt = statement(place.source, place.line)
     values = bounds or stmt.values
@@ -40,7 +40,7 @@ class Counter:
     """
 
     def __init__(self, run: Run, source: Source, line: int) -> None:
-        """Evaluate the bounds of the FOR on a line of a file, and set the counter to its first value.
+        """Evaluate the bounds of the FOR on a line (from 1) of a file, and set the counter to its first value.
 
         :raises InexactError: the bounds are not known before run time, the counter is a REAL, or may change at any
             time.
@@ -104,7 +104,7 @@ class Counter:
         :raises ProgramError: the step is no whole number other than 0.
         """
         first, last, step_value = self.bound_values
-        bounds = [first, last, *([] if step_value is None else [step_value])]
+        bounds = [bound for bound in (first, last, step_value) if bound is not None]
         if not all(map(self.run.variables.functions.is_pure, calls(bounds))):
             raise self._unknown_bounds_error()
         step = 1 if step_value is None else self._step_number(step_value)
@@ -113,27 +113,35 @@ class Counter:
     def _step_number(self, step_value: Value) -> int:
         """Return the number of an expression for STEP.
 
-        :raises ProgramError: the step is 0, or no whole number.
+        :raises ProgramError: the step is 0 or a REAL.
         :raises InexactError: the step is not known before run time.
         """
-        step = self.run.variables.evaluate(step_value)
-        if isinstance(step, Number) and (not step.is_integer or step.value == 0.0):
+        step = self._known_number(step_value)
+        if not step.is_integer or step.value == 0.0:
             problem = f"FOR cannot count by STEP {step.value:g}"
             raise self.place.error(problem, "Give a whole number other than 0, as it is or by an INT.")
-        return self._whole_number(step_value)
+        return int(step.value)
 
-    def _whole_number(self, value: Value) -> int:
-        """Return the number of an expression for a bound or the step.
+    def _whole_number(self, bound: Value) -> int:
+        """Return the number of an expression for the first or the last value of the counter.
 
         :raises InexactError: the number is a REAL, or not known before run time.
         """
-        number = self.run.variables.evaluate(value)
-        if not isinstance(number, Number):
-            raise self._unknown_bounds_error()
+        number = self._known_number(bound)
         if not number.is_integer:
             problem = f"motion inside FOR: one of its bounds is a REAL, {number.value:g}"
             raise inexact_error(self.place, problem, "Give whole numbers, as they are or by an INT.")
         return int(number.value)
+
+    def _known_number(self, bound: Value) -> Number:
+        """Return the number of an expression for a bound or the step.
+
+        :raises InexactError: it is not known before run time.
+        """
+        number = self.run.variables.evaluate(bound)
+        if not isinstance(number, Number):
+            raise self._unknown_bounds_error()
+        return number
 
     def _set_value(self, number: int) -> None:
         """Give the counter a value."""
@@ -142,7 +150,7 @@ class Counter:
     def value(self) -> int:
         """Return the present value of the counter.
 
-        :raises InexactError: the value is not known, as when the counter may change at any time.
+        :raises InexactError: the value is not known, as when the counter may change at any time, or is a REAL.
         """
         value = self.run.variables.value(self.key)
         if not isinstance(value, Number) or not value.is_integer:

@@ -32,6 +32,7 @@ def read_data(
 ) -> None:
     """Store the types and values of the variables that a `.dat` declares.
 
+    :param source: the `.dat`.
     :param fills_gaps: True to store only what is missing: values of names without a value, and types of names without
         a type.
     :param is_global: True if all variables are GLOBAL, as those of the `$config.dat`.
@@ -59,7 +60,7 @@ class _DataReader(Struct, frozen=True, eq=False):
         """
         source, text = self.source, self.source.text
         has_defdat = has_enddat = False
-        takes_all = self.wanted_names is None and not self.fills_gaps  # `_note_element` does not check these two
+        takes_all = self.wanted_names is None and not self.fills_gaps  # else `_note_line` selects the names
         for line, (start, stop) in enumerate(zip(source.starts.tolist(), source.stops.tolist(), strict=True), 1):
             while start < stop and text[start] in " \t\r":
                 start += 1
@@ -87,35 +88,49 @@ class _DataReader(Struct, frozen=True, eq=False):
             )
 
     def _note_element(self, element: re.Match[str], line: int, stop: int) -> None:
-        """Store an array element that a line sets to an aggregate, which is parsed when it is needed.
+        """Store the value of a line such as ``P[3]={X 1,…}``; it is parsed when it is needed.
 
-        :param element: match of `ELEMENT` on the line; `stop` is the offset of the end of the line.
-        :raises CellError: another source gives another frame for the element.
+        :param element: match of `ELEMENT` on the line, which ends where the value begins.
+        :param line: the line, from 1.
+        :param stop: offset of the end of the line.
+        :raises CellError: the cell or another file gives another frame for this element of BASE_DATA or TOOL_DATA.
         """
-        variables = self.variables
-        name = variables.scope.stored_name(element["name"].upper())
-        variables.persistent_names.add(name)
-        key, value = f"{name}[{int(element['index'])}]", UnparsedValue(self.source, element.end(), stop)
+        name = self.variables.scope.stored_name(element["name"].upper())
+        self._store(f"{name}[{int(element['index'])}]", UnparsedValue(self.source, element.end(), stop), line)
+
+    def _store(self, key: str, value: UnparsedValue, line: int) -> None:
+        """Store a value, unless only missing ones are stored and there is one.
+
+        A frame of BASE_DATA or TOOL_DATA is compared with those of the cell and of other files first.
+
+        :param key: stored name of the variable or the array element.
+        :param line: line with the value, from 1.
+        :raises CellError: the cell or another file gives another frame.
+        """
+        variables, name = self.variables, variable_of(key)
         if name in FRAME_ARRAYS:
             variables.note_frame(key, value, f"{self.source.document.name}, line {line}")
-        variables.put(key, value)
+        if not (self.fills_gaps and key in variables):
+            variables.persistent_names.add(name)  # variables of data lists keep their values from run to run
+            variables.put(key, value)
 
     def _note_line(self, line: int, start: int, stop: int) -> None:
         """Store what a line declares; values are parsed when they are needed. A line without a declaration is ignored.
 
+        :param line: the line, from 1.
         :param start: offset at which the code of the line begins; `stop` is the offset of the end of the line.
-        :raises CellError: another source gives another frame for one of the names.
+        :raises CellError: the cell or another file gives another frame for an element of BASE_DATA or TOOL_DATA.
         """
         variables, source = self.variables, self.source
         match = DECLARATION.match(source.text, start, stop)
         if not match:
             return
         if match["equals"] and not NEXT_INITIAL_VALUE.search(source.text, match.end(), stop):
-            names = [next(declared_in(source, start, match.end()))]  # one name: its long value need not be searched
+            declarators = [next(declared_in(source, start, match.end()))]  # one: its long value need not be searched
         else:
             start, stop = source.code_span(line)
-            names = list(declared_in(source, start, stop))
-        for declarator in names:
+            declarators = list(declared_in(source, start, stop))
+        for declarator in declarators:
             if self.wanted_names is not None and declarator.name not in self.wanted_names:
                 continue
             is_global = declarator.is_global or self.is_global
@@ -123,18 +138,15 @@ class _DataReader(Struct, frozen=True, eq=False):
             # STRUC declares a type with its members
             if declarator.kind == "STRUC" and (named_structure := structure(source, *source.code_span(line))):
                 variables.structures.setdefault(named_structure.name, named_structure.members)
-            if declarator.value_start < 0:  # no initial value
-                continue
-            value = UnparsedValue(source, declarator.value_start, stop)
-            if variable_of(key) in FRAME_ARRAYS:
-                variables.note_frame(key, value, f"{source.document.name}, line {line}")
-            if not (self.fills_gaps and key in variables):
-                variables.persistent_names.add(variables.scope.stored_name(declarator.name))
-                variables.put(key, value)
+            if declarator.value_start >= 0:  # it has an initial value
+                self._store(key, UnparsedValue(source, declarator.value_start, stop), line)
 
 
 def _note_import(variables: Variables, place: Place) -> None:
-    """Note that an IMPORT gives a variable of another `.dat` a second name: both names may change at any time."""
+    """Note that an IMPORT gives a variable of another `.dat` a second name: both names may change at any time.
+
+    :param place: file and line of the IMPORT; nothing is noted if it cannot be read.
+    """
     stmt = statement(place.source, place.line)
     if isinstance(stmt, Import):
         for name in (variables.scope.stored_name(stmt.name), *stored_originals(stmt)):

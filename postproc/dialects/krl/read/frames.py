@@ -59,8 +59,10 @@ class Frames:
 
         The frame is unknown afterwards if the value is unknown, incomplete or given by joint angles.
 
+        :param place: file and line of the assignment, for messages.
         :param target: `$BASE`, `$TOOL` or a component of them.
-        :raises ProgramError: the base is moved while the program runs, or a component is out of reach.
+        :param value: the assigned expression, or its value.
+        :raises ProgramError: the base is moved while the program runs, or a component exceeds `LARGEST_COORDINATE`.
         """
         name = target.name
         if isinstance(value, Call) and value.name in ("SBASE", "STOOL", "STOOL2"):  # functions of inline forms
@@ -75,8 +77,7 @@ class Frames:
         if target.indices is not None or (target.field is not None and target.field not in CARTESIAN):
             return self.state_with_unknown_frame(state, name, place, "its component is not understood")
         if isinstance(value, Reference) and value.name in ("BASE_DATA", "TOOL_DATA") and value.field is None:
-            key = self.variables.key_of(value)  # None: the index is not known
-            return self._state_with_named_frame(state, place, name, value, key or value.name)
+            return self._state_with_stored_frame(state, place, name, value)
         if target.field is not None:
             position = self._frame_with_component(state, target, value)
         else:
@@ -94,14 +95,17 @@ class Frames:
 
         The frame is unknown afterwards if the array element is not known or incomplete.
 
+        :param place: file and line of the statement, for messages.
         :param name: ``$BASE`` or ``$TOOL``.
-        :raises ProgramError: a component is out of reach.
+        :raises ProgramError: a component exceeds `LARGEST_COORDINATE`.
         """
-        key = f"{name[1:]}_DATA[{number}]"
-        return self._state_with_named_frame(state, place, name, _array_element(f"{name[1:]}_DATA", number), key)
+        return self._state_with_stored_frame(state, place, name, _array_element(f"{name[1:]}_DATA", number))
 
     def state_with_unknown_frame(self, state: State, name: str, place: Place, reason: str) -> State:
-        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the reason is stored for messages."""
+        """Return a state in which `$BASE` or `$TOOL` (`name`) is not known; the reason is stored for messages.
+
+        :param place: file and line of the statement, for messages.
+        """
         return self.reasons.state_with_unknown(
             state, FIELDS[name], place.error(f"{name} is not known: {reason}", _FRAME_ADVICE)
         )
@@ -143,7 +147,8 @@ class Frames:
     def _frame_with_component(self, state: State, target: Reference, value: Value | VariableValue) -> Position | None:
         """Return the frame in force with another value of one component; None if the result is not known.
 
-        :param target: the component of `$BASE` or `$TOOL` that `value` is assigned to.
+        :param target: the component of `$BASE` or `$TOOL` that is assigned to.
+        :param value: the assigned expression, or its value.
         """
         name, field = target.name, target.field or ""
         row = state.base if name == "$BASE" else state.tool
@@ -156,13 +161,17 @@ class Frames:
             return None
         return with_component(frame, field, number)
 
-    def _state_with_named_frame(self, state: State, place: Place, name: str, reference: Reference, key: str) -> State:
-        """Return the state with `$BASE` or `$TOOL` set to a variable; unknown if the variable is unknown or incomplete.
+    def _state_with_stored_frame(self, state: State, place: Place, name: str, reference: Reference) -> State:
+        """Return the state after `$BASE` or `$TOOL` is set to an element of `BASE_DATA` or `TOOL_DATA`.
 
+        The frame is unknown afterwards if the element is not known or incomplete.
+
+        :param place: file and line of the statement, for messages.
         :param name: `$BASE` or `$TOOL`.
-        :param reference: the variable; `key` is its stored name, for messages.
-        :raises ProgramError: a component is out of reach.
+        :param reference: the element.
+        :raises ProgramError: a component exceeds `LARGEST_COORDINATE`.
         """
+        key = self.variables.key_of(reference) or reference.name  # the latter: the index is not known
         position = self.variables.position(reference)
         if position is not None and position.largest_coordinate > LARGEST_COORDINATE:
             raise out_of_reach_error(place, position.largest_coordinate)
@@ -184,16 +193,13 @@ class Frames:
 
         Equal frames share a row of `bases` or `tools`, so that motions can be grouped by the row.
         """
-        row = self._rows.get((name, position.values))
-        if row is None:
-            frames = self.bases if name == "$BASE" else self.tools
-            pose = position.pose()
-            row = next(
-                (row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _FRAME_TOLERANCE), len(frames)
-            )
-            if row == len(frames):  # a new frame
+        if (name, position.values) not in self._rows:
+            frames, pose = (self.bases if name == "$BASE" else self.tools), position.pose()
+            equal_rows = [row for row, frame in enumerate(frames) if np.abs(frame - pose).max() < _FRAME_TOLERANCE]
+            if not equal_rows:  # a new frame
                 frames.append(pose)
-            self._rows[name, position.values] = row
+            self._rows[name, position.values] = equal_rows[0] if equal_rows else len(frames) - 1
+        row = self._rows[name, position.values]
         if not _has_angles_in_range(position):
             self._frames_with_uncertain_angles.add((name, row))
         return state.with_values(**{FIELDS[name]: row})
@@ -221,5 +227,9 @@ def _missing_components(position: Position) -> str:
 
 
 def out_of_reach_error(place: Place, number: float) -> ProgramError:
-    """Return the error for a coordinate beyond `LARGEST_COORDINATE`; `number` is that coordinate [mm or deg]."""
+    """Return the error that a statement contains a coordinate beyond `LARGEST_COORDINATE`, as by a typing error.
+
+    :param place: file and line of the statement.
+    :param number: the coordinate [mm or deg].
+    """
     return place.error(f"{number:g} is out of any robot's reach", "Coordinates are in mm and degrees.")

@@ -25,7 +25,8 @@ from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
 from postproc.dialects.krl.read.variables import Variables, convert_to_type
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
-_ASYNCHRONOUS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
+_ASYNCHRONOUS_MOTIONS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
+"""Calls that move external axes, or stop them, while the program continues."""
 _SUPERPOSED_MOTIONS = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
 _TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
@@ -87,6 +88,7 @@ class Interpreter:
 
         Motions of routines outside of the trace are not taken, but functions that they call are followed.
 
+        :param place: file and line of the statement.
         :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
         self.run.statement_place = place
@@ -96,18 +98,20 @@ class Interpreter:
             else:
                 self.follow_functions(place, stmt.values)
             return
-        # most statements are simple: these do not control execution
-        is_simple = isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS
-        if is_simple or not self._follow_control(place, stmt):
+        # most statements are simple, and surely do not control execution
+        is_simple = isinstance(stmt, _SIMPLE_STATEMENTS) and stmt.word not in _ASYNCHRONOUS_MOTIONS
+        is_control = not is_simple and self._follow_control(place, stmt)
+        if not is_control:
             self._follow_other(place, stmt)
 
     def _follow_control(self, place: Place, stmt: tree.Statement) -> bool:
         """Follow a statement that controls execution: a line of a control structure, GOTO, RETURN, or CONST_VEL.
 
-        The head and the end of a control structure change `Level.open_structures`. Statements that move external axes
-        are refused here too.
+        The head of a control structure is added to `Level.open_structures`, and its end removes it. Calls that move
+        external axes are refused here too.
 
-        :returns: False if the statement is no such statement; nothing is followed then.
+        :param place: file and line of the statement.
+        :returns: False if the statement does not control execution; nothing is followed then.
         :raises ProgramError: the statement closes a structure that is not open, is a GOTO that may run or not, or
             moves external axes.
         """
@@ -129,7 +133,7 @@ class Interpreter:
             self._follow_return(place, stmt)
         elif isinstance(stmt, tree.SplineTiming):
             self._follow_spline_timing(place, stmt)
-        elif word in _ASYNCHRONOUS:
+        elif word in _ASYNCHRONOUS_MOTIONS:
             raise place.error(f"{word} moves external axes", "Only fixed external axes are supported.")
         else:
             return False
@@ -140,6 +144,7 @@ class Interpreter:
     def _follow_spline_timing(self, place: Place, stmt: tree.SplineTiming) -> None:
         """Follow a statement on the speed or the stop of spline motions, such as CONST_VEL; its text stays unchanged.
 
+        :param place: file and line of the statement.
         :raises ProgramError: the statement is not understood, or is outside of a spline block.
         """
         if not stmt.is_complete:
@@ -157,11 +162,13 @@ class Interpreter:
 
         A RETURN that may not run is passed over in the main routine, and refused in a called routine.
 
+        :param place: file and line of the RETURN.
         :raises InexactError: the RETURN may not run, and is in a called routine.
         """
         level = self.run.level
         if not self.run.is_certain:
-            if not level.is_traced or len(self.run.stack) > 1:
+            is_in_called_routine = not level.is_traced or len(self.run.stack) > 1
+            if is_in_called_routine:
                 raise inexact_error(place, "it is not known whether it returns here")
             return
         if stmt.value is not None:
@@ -169,19 +176,26 @@ class Interpreter:
         level.return_line = level.return_line or place.line
 
     def _follow_control_head(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow the functions in the head of a control structure; the counter of a FOR becomes unknown."""
+        """Follow the functions in the head of a control structure (`stmt`); the counter of a FOR becomes unknown.
+
+        :param place: file and line of the head.
+        """
         self.follow_functions(place, stmt.values)
         if isinstance(stmt, tree.For) and stmt.name:
             self.run.variables.forget(self.run.stored_name(stmt.name), str(place))
 
     def follow_functions(self, place: Place, values: Iterable[Value]) -> None:
-        """Follow the functions in some expressions, as calls that may not run."""
+        """Follow the functions in some expressions of a statement, as calls that may not run.
+
+        :param place: file and line of the statement.
+        """
         for call in calls(values):
             self.calls.follow_call(place, call, is_certain=False)
 
     def _follow_other(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a statement that neither moves nor controls execution, such as an assignment, a declaration or a call.
 
+        :param place: file and line of the statement.
         :raises ProgramError: the statement is not understood, or its effect on motion is not modelled.
         """
         if stmt.word == "BAS":
@@ -217,6 +231,7 @@ class Interpreter:
     def _note_cyclic_changes(self, place: Place, stmt: tree.CyclicInput | tree.Import) -> None:
         """Note that the variable of an ANIN, DIGIN, SIGNAL or IMPORT may change at any time from now on.
 
+        :param place: file and line of the statement.
         :raises ProgramError: the variable is a setting of motions.
         """
         if stmt.name in RELEVANT:
@@ -227,12 +242,13 @@ class Interpreter:
                 self.run.note_cyclic_change(place, name)
 
     def _check_exit(self, place: Place) -> None:
-        """Refuse an EXIT that may leave a followed loop, if it is not known whether the EXIT runs.
+        """Refuse an EXIT of a loop whose rounds are followed one by one, if it is not known whether the EXIT runs.
 
+        :param place: file and line of the EXIT.
         :raises InexactError: the EXIT is in a control structure of the loop whose condition is not known.
         """
         level = self.run.level
-        # without open structures the EXIT surely runs; an open loop is the one that it leaves
+        # open structures are those whose condition is not known; if a loop is among them, the EXIT leaves that loop
         if level.loop_depth and not any(word in LOOPS for word, _ in level.open_structures):
             word, line = level.open_structures[-1]
             reason = why_not_decided(self.run.variables, place.source, statement(place.source, line).values)
@@ -246,6 +262,7 @@ class Interpreter:
     def _follow_bas(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a call of KUKA's BAS, which sets speeds, frames and modes by its command.
 
+        :param place: file and line of the call.
         :raises ProgramError: the call is not understood.
         """
         if isinstance(stmt, tree.FaultyStatement):
@@ -255,7 +272,10 @@ class Interpreter:
         self._change_state(place, self.run.settings.state_after_bas(place, stmt.call))
 
     def _change_state(self, place: Place, state: State) -> None:
-        """Put a state into force; its changed fields become unknown instead if the statement at `place` may not run."""
+        """Put the state after a statement into force; if the statement may not run, the changed fields become unknown.
+
+        :param place: file and line of the statement.
+        """
         if self.run.is_certain:
             self.run.settings.change_state(self.run.row, state)
         else:
@@ -266,9 +286,10 @@ class Interpreter:
     def assign(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
-        The index of the target is evaluated before and after the value, since a call in the value may change it: which
-        element is written is not known then. Variables of the controller become unknown, but for `STORED_VARIABLES`.
+        Variables of the controller become unknown, but for `STORED_VARIABLES`.
 
+        :param place: file and line of the assignment.
+        :param target: the variable, array element or component that it sets; `expression` gives the value.
         :raises ProgramError: the effect on motion is not modelled.
         """
         self.follow_functions(place, [target])
@@ -276,15 +297,12 @@ class Interpreter:
         if name in RELEVANT:
             self._assign_setting(place, target, expression)
             return
-        old_key = self.run.variables.key_of(target)
+        old_key = self.run.variables.key_of(target)  # a call in the expression may change the index
         # only in the file of the program are the numbers of a copied point corrected where they are written
         is_copied = target.field is None and self.run.is_traced and place.source is self.run.routine.source
         value = self.calls.evaluate_with_calls(place, expression, is_copied=is_copied)
-        if (
-            name in _SUPERPOSED_MOTIONS
-            and target.field == "MODE"
-            and not (isinstance(value, Word) and value.text == "#OFF")
-        ):
+        is_off = isinstance(value, Word) and value.text == "#OFF"
+        if name in _SUPERPOSED_MOTIONS and target.field == "MODE" and not is_off:
             raise place.error(
                 f"{name} superposes a motion on the path", "Only programs that leave it #OFF are understood."
             )
@@ -294,27 +312,28 @@ class Interpreter:
         if target.field is None and self.run.is_traced:
             self.run.note_followed_names(target.start)
         key, stored_name = self.run.variables.key_of(target), self.run.stored_name(name)
-        if key != old_key:  # a call in the value has changed the index
+        is_whole_array = target.indices == ()  # ``P[]``
+        if key != old_key:
             self.run.variables.forget(stored_name, self._unknown_element_reason(place, target, expression))
-        elif not self.run.is_certain or key is None or target.indices == ():  # the last: a whole array ``P[]``
+        elif not self.run.is_certain or key is None or is_whole_array:
             self.run.variables.forget(stored_name, str(place))
-        elif value != NO_VALUE or name != "$H_POS" or target.field is not None:
+        elif name == "$H_POS" and target.field is None and value == NO_VALUE:
+            pass  # a position that is in no file: the home position of the cell stays
+        else:
             self._store(place, target, key, expression, value)
-        # else $H_POS gets a position that is in no file: the home position of the cell stays
 
     def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
         """Give a variable, or a member of it, the value of an assignment.
 
-        An unknown value stays as it is if it states a reason and its place. Without a reason it stays if the whole
-        variable is set. In other cases it gets the place of the assignment, and why the expression is not known.
+        An unknown value is stored as it is if it states where it was changed, and either why, or the whole variable is
+        set. Else the variable becomes unknown at the assignment, for the reason that the expression is not known.
 
+        :param place: file and line of the assignment.
         :param target: the variable as the statement names it; `key` is its stored name.
         :param value: value of the expression.
         """
-        if isinstance(value, UnknownValue):
-            stays = bool(value.change_place) if value.reason else target.field is None
-            if value == NO_VALUE or not stays:
-                value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
+        if isinstance(value, UnknownValue) and not (value.change_place and (value.reason or target.field is None)):
+            value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         if target.field is None:
             self.run.note_copy(expression, value, target.name)
             self.run.variables.set(key, value, place)
@@ -326,6 +345,9 @@ class Interpreter:
 
         A call in the assigned expression changes the index, and KUKA does not say whether the index or the value is
         evaluated first.
+
+        :param place: file and line of the assignment.
+        :param target: the array element as the statement names it.
         """
         indices = {value.name for value in walk(target.indices or ()) if isinstance(value, Reference)}
         places = {
@@ -341,6 +363,8 @@ class Interpreter:
     def _assign_setting(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment to a setting of motions, such as `$BASE`.
 
+        :param place: file and line of the assignment.
+        :param target: the setting, or a component of it; `expression` gives the value.
         :raises ProgramError: the value cannot be read, or its effect on motion is not modelled.
         """
         # the expression, which messages quote; in place of a function that has been run, its value
@@ -363,6 +387,7 @@ class Interpreter:
     def _note_event(self, place: Place, event: tree.Event) -> None:
         """Note what the action of an INTERRUPT or a TRIGGER may change from now on.
 
+        :param place: file and line of the statement.
         :raises ProgramError: the action moves the robot, or may change settings of motions at any time.
         """
         scope = self.run.variables.scope

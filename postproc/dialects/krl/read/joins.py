@@ -6,7 +6,7 @@ motion must end in the same pose; a round must end in the state in which it bega
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +45,18 @@ class BranchError(ProgramError):
     """
 
     occasions: frozenset[Occasion]
+
+
+class _Fault(NamedTuple):
+    """Why the branches of a fork cannot be corrected.
+
+    :ivar fork: line of the trace with the fork.
+    :ivar problem: what is wrong, as text for a message; `advice` says what to do.
+    """
+
+    fork: int
+    problem: str
+    advice: str = _BRANCH_ADVICE
 
 
 class JoinedEnds(NamedTuple):
@@ -187,29 +199,46 @@ def predecessors_and_joins(
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
-    line, forks = sequence.rows.line, _fork_visits(course)
+    line = sequence.rows.line
     branch_flow = _branch_flow(steps, line, unchecked_joins)
     branch_predecessors = np.arange(len(line)) - 1 if predecessors is None else predecessors.copy()
     for row, motions in branch_flow.previous_motions.items():
         if branch_predecessors[row] != row:  # its start is known
             # all of them end in one pose, except at an unchecked join
             branch_predecessors[row] = min(motions)
-    faults: list[BranchError] = []
-    for join, ends in branch_flow.joins:
-        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
-        if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
-            faults.append(_branch_error(course, forks, ends.fork, "an uncorrected motion is inside a branch"))
-        elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
-            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
-            faults.append(_branch_error(course, forks, ends.fork, problem, _PTP_ADVICE))
-    _raise_combined(faults)
+    _refuse_branches(course, _faults_in_branches(course, sequence, branch_flow.joins, kept_lines, unchecked_joins))
     # motions that do not begin at the end of the motion before them; those with an unknown start are checked elsewhere
+    faults: list[_Fault] = []
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
-            faults.append(_branch_error(course, forks, int(branch_flow.fork_lines[row]), problem, _START_ADVICE))
-    _raise_combined(faults)
+            faults.append(_Fault(int(branch_flow.fork_lines[row]), problem, _START_ADVICE))
+    _refuse_branches(course, faults)
     return branch_predecessors, [ends for join, ends in branch_flow.joins if join not in unchecked_joins]
+
+
+def _faults_in_branches(
+    course: Course,
+    sequence: OrderedMotions,
+    joins: Sequence[tuple[Join, JoinedEnds]],
+    kept_lines: Sequence[int],
+    unchecked_joins: Set[Join],
+) -> list[_Fault]:
+    """Return a fault for each join with an uncorrected motion or an ambiguous PTP in one of its branches.
+
+    :param joins: all joins of the trace, with the ends of their branches.
+    :param kept_lines: lines of uncorrected motions.
+    :param unchecked_joins: joins at which branches may end in different poses: a PTP is not ambiguous there.
+    """
+    line, faults = sequence.rows.line, list[_Fault]()
+    for join, ends in joins:
+        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
+        if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
+            faults.append(_Fault(ends.fork, "an uncorrected motion is inside a branch"))
+        elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
+            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
+            faults.append(_Fault(ends.fork, problem, _PTP_ADVICE))
+    return faults
 
 
 class _BranchFlow(NamedTuple):
@@ -399,36 +428,32 @@ def check_joins(
     :param path: frames of the program and flange at its start.
     :raises BranchError: the ends of the branches of a fork differ.
     """
-    forks, faults = _fork_visits(course), []
+    faults: list[_Fault] = []
     for fork, ends in joins:
         flanges = [path.end_flange(motions, row) for row in ends]
         if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
-            faults.append(_branch_error(course, forks, fork, "the branches end in different places"))
+            faults.append(_Fault(fork, "the branches end in different places"))
         elif carriage is not None:
             # the last element, which −1 selects, is the position at the start of the program
             track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]
             if np.ptp(track_positions) > _POSE_TOLERANCE:
-                faults.append(_branch_error(course, forks, fork, "E1 differs between the ends of the branches"))
-    _raise_combined(faults)
+                faults.append(_Fault(fork, "E1 differs between the ends of the branches"))
+    _refuse_branches(course, faults)
 
 
-def _fork_visits(course: Course) -> Mapping[int, set[Occasion]]:
-    """Return line of the trace with a fork → the visits to that fork."""
-    visits: dict[int, set[Occasion]] = {}
-    for step in course.steps:
-        if isinstance(step, Fork):
-            visits.setdefault(step.row, set()).add(step.occasion)
-    return visits
-
-
-def _raise_combined(faults: Sequence[BranchError]) -> None:
-    """Raise the first of some errors, with the forks of all of them; do nothing without errors.
+def _refuse_branches(course: Course, faults: Sequence[_Fault]) -> None:
+    """Refuse the branches of some forks; the error states the first fault, and the visits to all of these forks.
 
     :raises BranchError: there are `faults`.
     """
-    if faults:
-        faults[0].occasions = frozenset[Occasion]().union(*(fault.occasions for fault in faults))
-        raise faults[0]
+    if not faults:
+        return
+    fork, problem, advice = faults[0]
+    base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
+    error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
+    forks = {fault.fork for fault in faults}
+    error.occasions = frozenset(step.occasion for step in course.steps if isinstance(step, Fork) and step.row in forks)
+    raise error
 
 
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
@@ -443,20 +468,6 @@ def _start_dependence(sequence: OrderedMotions, row: int) -> str:
     if move is not None and move.angle is not None:
         return "there is a circle with CA"
     return "components are missing"
-
-
-def _branch_error(
-    course: Course, forks: Mapping[int, set[Occasion]], fork: int, problem: str, advice: str = _BRANCH_ADVICE
-) -> BranchError:
-    """Return the error that the branches of a fork cannot be corrected.
-
-    :param forks: line of the trace → visits to the fork on that line.
-    :param fork: line of the trace with the fork in question.
-    """
-    base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
-    error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
-    error.occasions = frozenset(forks[fork])
-    return error
 
 
 class EndlessRounds(NamedTuple):
@@ -568,12 +579,19 @@ def check_force(
     lines_with_force = line[(line >= loop.first) & (line < loop.stop) & (kind != PTP)]
     if not len(lines_with_force) or any(loop.first <= note_line <= lines_with_force[0] for note_line, _ in notes):
         return
-    # the last comment before the first and before the second round; none if there is none
-    acting_notes = [[note for note_line, note in notes if note_line < limit][-1:] for limit in (loop.first, loop.stop)]
-    # zero forces are equal in all axes
-    begin, end = ([(note.wrench, note.frame) for note in group if any(note.wrench)] for group in acting_notes)
-    if begin != end:
+    if _acting_force(notes, loop.first) != _acting_force(notes, loop.stop):  # before the first and the second round
         raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
+
+
+def _acting_force(notes: Sequence[tuple[int, ForceNote]], line: int) -> tuple[object, ...]:
+    """Return wrench and frame of the last force comment before a line of the trace; empty for zero or no force.
+
+    :param notes: force comments, each with its line of the trace, in order.
+    """
+    earlier_notes = [note for note_line, note in notes if note_line < line]
+    if not earlier_notes or not any(earlier_notes[-1].wrench):  # a zero force is the same in all frames
+        return ()
+    return earlier_notes[-1].wrench, earlier_notes[-1].frame
 
 
 def _loop_line(course: Course, loop: UnrolledLoop) -> int:

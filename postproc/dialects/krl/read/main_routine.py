@@ -131,8 +131,9 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     course = _with_used_names(recorder.course(run.unfollowed_routines), start)
     has_all_motions = run.is_final and recorder.is_final and not settings.lacked_numbers
     has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
-    if not has_all_motions or fault_of(main.name) or has_open_part:
-        return course, None  # errors are reported when the statements run once more
+    # errors are reported when the statements run once more
+    if not has_all_motions or has_open_part or fault_of(main.name):
+        return course, None
     run.trace, run.shown_line = course.trace, 0  # 0: the trace has the line to report
     return course, collected_motions
 
@@ -331,7 +332,7 @@ class MainRoutine:
         return []
 
     def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
-        """Return the rows of a step that are not plain, and the rows of its plain settings, both in order."""
+        """Return the rows of a step that are not plain, and the rows of its plain settings, both ascending."""
         lines, setting_lines = self._other_lines, self._plain_setting_lines  # both ascend
         step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
         return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
@@ -339,21 +340,21 @@ class MainRoutine:
     def _split_settings(self) -> dict[Lines, Sequence[int]]:
         """Return step → rows of the step that are run one by one, for steps that are `Lines`.
 
-        The other plain settings become `Settings.plain_assignments`, which come into force at their rows.
+        Plain settings outside of control structures are not run: they become `Settings.plain_assignments`, which come
+        into force at their rows.
         """
-        # free lines are outside of all control structures; rows count from 1
-        step_lines, is_free_line = {}, np.zeros(len(self.run.trace) + 1, dtype=np.bool_)
+        step_rows: dict[Lines, Sequence[int]] = {}
+        is_free_row = np.zeros(len(self.run.trace) + 1, dtype=np.bool_)  # outside of control structures; rows from 1
         for step in self.course.steps:
             if isinstance(step, Lines):
-                step_lines[step], free_lines = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
-                if len(free_lines):
-                    is_free_line[free_lines] = True
+                step_rows[step], free_rows = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
+                is_free_row[free_rows] = True
         settings = self._plain_settings
-        is_free = is_free_line[settings.line]
+        is_free = is_free_row[settings.line]
         self.run.settings.plain_assignments = PlainAssignments(
             PlainSettings(settings.line[is_free], settings.values[:, is_free])
         )
-        return step_lines
+        return step_rows
 
     def _run_step(self, step: Lines, lines: Sequence[int]) -> None:
         """Run the rows of a step that are not plain, and its plain rounds, in order, up to RETURN.
@@ -382,21 +383,30 @@ class MainRoutine:
 
     def _follow_rounds(self, rounds: PlainRounds) -> None:
         """Take all plain rounds of a FOR at once if that is possible, else run their rows one by one."""
-        run = self.run
-        moves = computed_motions(run, self.reader, rounds) if rounds.body.is_computed else None
-        if moves is not None:
-            for move in moves:
-                self.motions.add(move, run.settings.state)
-            assignment_rows = map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
-            # only what the first and the last round assign can be seen before and after the loop
-            end_rows = [rows[index] for rows in assignment_rows for index in (0, -1)]
-            self._follow_lines(np.sort(np.array(end_rows)), rounds)
-            return
-        columns = None if rounds.body.is_computed else motions_and_settings_of(run, self.reader, rounds)
-        if columns is None:
+        take_rounds = self._take_computed_rounds if rounds.body.is_computed else self._take_element_rounds
+        if not take_rounds(rounds):
             self._follow_lines(np.arange(rounds.first, rounds.stop_row), rounds)
-            return
-        element_motions, settings = columns
+
+    def _take_computed_rounds(self, rounds: PlainRounds) -> bool:
+        """Take all rounds of a FOR that computes its targets at once; return False if that is not possible."""
+        moves = computed_motions(self.run, self.reader, rounds)
+        if moves is None:
+            return False
+        for move in moves:
+            self.motions.add(move, self.run.settings.state)
+        assignment_rows = map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
+        # only what the first and the last round assign can be seen before and after the loop
+        end_rows = [rows[index] for rows in assignment_rows for index in (0, -1)]
+        self._follow_lines(np.sort(np.array(end_rows)), rounds)
+        return True
+
+    def _take_element_rounds(self, rounds: PlainRounds) -> bool:
+        """Take all rounds of a FOR over the points of an array at once; return False if that is not possible."""
+        run = self.run
+        motions_and_settings = motions_and_settings_of(run, self.reader, rounds)
+        if motions_and_settings is None:
+            return False
+        element_motions, settings = motions_and_settings
         self.rounds += element_motions
         run.settings.plain_assignments.insert(settings)
         trigger_rows = [rounds.rows_of_statement(line) for line in rounds.body.triggers]
@@ -405,6 +415,7 @@ class MainRoutine:
         self._follow_lines(np.array([rounds.first, last_round, *(rows[-1] for rows in trigger_rows)]), rounds)
         if trigger_rows:  # triggers of the last round alone have been run: note those of all rounds
             run.triggers[trigger_count:] = np.sort(np.concatenate(trigger_rows)).tolist()
+        return True
 
     def _follow_node(self, node: Node, number: int | None = None) -> None:
         """Run a row of the trace, or a control structure given by its rows.
@@ -444,30 +455,31 @@ class MainRoutine:
     def executed_motions(self, motion_lines: Ints) -> Bools:
         """Return which of n plain motions run (n,): those in `Lines` of the trace.
 
-        They are counted by a running sum: +1 at the begin of each of these steps, −1 behind its end.
-
         :param motion_lines: (n,) rows of the motions in the trace, ascending.
         :raises ProgramError: a motion is outside of DEF … END.
         """
-        bounds = [(step.first, step.last) for step in self.course.steps if isinstance(step, Lines)]
-        steps = np.array(bounds).reshape(-1, 2)  # there may be none
-        depth = np.zeros(len(motion_lines) + 1, dtype=np.int64)  # `add.at` adds repeated indices repeatedly
-        np.add.at(depth, np.searchsorted(motion_lines, steps[:, 0]), 1)
-        np.add.at(depth, np.searchsorted(motion_lines, steps[:, 1], side="right"), -1)
-        is_executed: Bools = np.cumsum(depth[:-1]) > 0
-        if not self.course.is_straight:
-            return is_executed
-        in_routine = np.zeros(len(motion_lines), dtype=np.bool_)
+        if self.course.is_straight:
+            self._refuse_motions_outside_routines(motion_lines)
+        # steps ascend and do not overlap; the first is none, for motions before all steps: rows count from 1
+        steps = [(0, 0), *((step.first, step.last) for step in self.course.steps if isinstance(step, Lines))]
+        first_rows, last_rows = np.array(steps).T
+        index = np.searchsorted(first_rows, motion_lines, side="right") - 1  # the last step that begins by each motion
+        return np.asarray(motion_lines <= last_rows[index])
+
+    def _refuse_motions_outside_routines(self, motion_lines: Ints) -> None:
+        """Refuse motions outside of the routines of the file.
+
+        :param motion_lines: (n,) lines of the motions in the file, ascending.
+        :raises ProgramError: a motion is outside of DEF … END.
+        """
+        is_in_routine = np.zeros(len(motion_lines), dtype=np.bool_)
         for routine in self.run.library.program.routines.values():
-            in_routine |= (motion_lines > routine.first) & (motion_lines < routine.last)
-        outside_rows = np.flatnonzero(~in_routine)
-        if len(outside_rows):
+            is_in_routine |= (motion_lines > routine.first) & (motion_lines < routine.last)
+        outside_lines = motion_lines[~is_in_routine]
+        if len(outside_lines):
             raise self.run.trace.error(
-                "the motion is outside of DEF … END",
-                int(motion_lines[outside_rows[0]]),
-                advice="Move it into a routine.",
+                "the motion is outside of DEF … END", int(outside_lines[0]), advice="Move it into a routine."
             )
-        return is_executed
 
     def are_in_one_block(self, first: int, last: int) -> bool:
         """Return whether no spline block ends between two rows of the trace, given from 1."""
@@ -520,7 +532,10 @@ class MainRoutine:
         run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # the last reason for each line
 
     def _note_fault(self, place: Place, cause: ProgramError) -> None:
-        """Note an error of a statement, unless the statement names a variable whose own statement had an error."""
+        """Note an error of a statement, unless the statement names a variable whose own statement had an error.
+
+        :param place: file and line of the statement.
+        """
         names = [name.upper() for name in NAME.findall(place.source.text, *place.source.code_span(place.line))]
         if self._faulty_names.isdisjoint(names):
             self._errors.append(cause)
@@ -528,7 +543,10 @@ class MainRoutine:
         self._faulty_names.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTION_WORDS)
 
     def _take_motion(self, place: Place, stmt: Statement) -> None:
-        """Run the functions in a motion, and collect it."""
+        """Run the functions in a motion, and collect it.
+
+        :param place: file and line of the motion.
+        """
         self._flow.interpreter.follow_functions(place, stmt.values)
         self._collected.take_motion(place, stmt)
 
@@ -547,8 +565,9 @@ def _split_plain_settings(
     setting_lines = np.array(settings, dtype=np.int64)
     if not settings:
         return lines, setting_lines
-    is_free = is_outside_structures(source, lines, setting_lines)  # outside of all control structures
-    return (lines if is_free.all() else sorted([*lines, *setting_lines[~is_free].tolist()])), setting_lines[is_free]
+    is_free = is_outside_structures(source, lines, setting_lines)
+    lines_to_run = lines if is_free.all() else sorted([*lines, *setting_lines[~is_free].tolist()])
+    return lines_to_run, setting_lines[is_free]
 
 
 def _rows_with_code(trace: Trace, rows: Ints) -> list[int]:

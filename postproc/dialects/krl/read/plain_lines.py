@@ -148,12 +148,12 @@ def _plain_line_indices(text: str, codes: bytes, starts: Ints) -> Ints:
     """
     marked_codes = np.frombuffer(codes.translate(_MARK_NUMBERS), dtype=np.uint8)
     # characters of a number behind its first are left out, so that each number is one mark
-    is_number_tail = marked_codes == _NUMBER_MARK
-    is_number_tail[1:] &= is_number_tail[:-1].copy()
-    is_number_tail[:1] = False
+    is_number = marked_codes == _NUMBER_MARK
+    is_number_tail = np.zeros_like(is_number)
+    is_number_tail[1:] = is_number[1:] & is_number[:-1]
     forms = marked_codes[~is_number_tail].tobytes().split(b"\n")
     begins = np.append(0, np.flatnonzero(marked_codes == ord("\n")) + 1)  # of the line of each form
-    line_of_form = dict(zip(forms, range(len(forms)), strict=True))  # the last line of each form
+    line_of_form = {form: index for index, form in enumerate(forms)}  # the last line of each form
     verdicts = {form: _is_plain(text, int(begins[index]), _LOOSE_NUMBER) for form, index in line_of_form.items()}
     is_plain_line = np.fromiter(map(verdicts.__getitem__, forms), np.bool_, len(forms))
     limited_forms = {form for form, is_plain in verdicts.items() if is_plain and _LIMITED_COMPONENT.search(form)}
@@ -168,16 +168,16 @@ def _motions_of_lines(
 ) -> MotionColumns | None:
     """Return the motions of P plain lines; None if one of their numbers cannot be read.
 
-    :param codes: a text with these and other lines.
-    :param line_starts: (n,) offsets at which the lines of the text begin.
+    :param codes: a piece of the file, with these and other lines.
+    :param line_starts: (n,) offsets at which the lines of the piece begin.
     :param index: (P,) indices of the plain lines in it.
-    :param line_count: number of lines of the file before the text.
-    :param character_count: number of characters of the file before the text.
+    :param line_count: number of lines of the file before the piece.
+    :param character_count: number of characters of the file before the piece.
     """
     if not len(index):
         return no_motions()
     body, begins, shift = _plain_body(codes, line_starts, index)
-    shift += character_count  # from offsets in `body` to offsets in the file
+    shift += character_count  # now offset in the file minus offset in `body`
     raw = np.frombuffer(body, dtype=np.uint8)
     tokens = _number_tokens(body)
     if tokens is None:
@@ -296,50 +296,43 @@ def _points_of_lines(raw: Bytes, begins: Ints, shift: Ints, tokens: _NumberToken
     :param shift: (P,) offset in the file minus offset in the text, for each line.
     :param tokens: the numbers of the text.
     """
-    values, starts, stops = tokens
     # spans of all points: a line has one point, a circle two
     points = np.stack([np.flatnonzero(raw == ord("{")), np.flatnonzero(raw == ord("}")) + 1], axis=1)
-    column = _COLUMN_OF_CHARACTER[_characters_before(raw, starts)]  # of each number
-    has_circles = len(points) > len(begins)
-    if has_circles:  # auxiliary points have columns of their own, before those of the targets
-        line = np.searchsorted(begins, points[:, 0], side="right") - 1  # index of the line of each point
-        is_target = np.append(line[1:] != line[:-1], True)  # the last point of its line
-        number_count = np.diff(np.searchsorted(starts, points[:, 0]), append=len(starts))  # of each point
-        column += np.repeat(np.where(is_target, _NUMBERS_OF_TARGET, 0), number_count)
-    numbers = np.full((len(begins), _NUMBERS_OF_TARGET * (1 + has_circles)), np.nan)
-    spans = np.full((*numbers.shape, 2), -1, dtype=np.int32)
-    row, column = _rows_and_columns(column, begins, starts)
-    # all rows with the same columns: the numbers are a table with one row for each line
-    offset, shape = (shift[:, None], (len(begins), -1)) if isinstance(row, slice) else (shift[row], (-1,))
-    numbers[row, column] = values.reshape(shape)
-    spans[row, column, 0] = starts.reshape(shape) + offset
-    spans[row, column, 1] = stops.reshape(shape) + offset
+    column = _COLUMN_OF_CHARACTER[_characters_before(raw, tokens.starts)]  # of each number
     via_points = no_via_points(len(begins))
-    if has_circles:
-        via_targets = via_points.targets.copy()
-        via_targets[line[~is_target]] = points[~is_target] + shift[line[~is_target], None]
-        via_points = ViaPoints(numbers[:, :3].copy(), spans[:, :3].copy(), via_targets)
-        numbers, spans = numbers[:, _NUMBERS_OF_TARGET:], spans[:, _NUMBERS_OF_TARGET:]
-        points = points[is_target]
-    return _LinePoints(numbers, spans, points, via_points)
+    if len(points) == len(begins):  # no circles
+        numbers, spans = _number_table(tokens, column, _NUMBERS_OF_TARGET, begins, shift)
+        return _LinePoints(numbers, spans, points, via_points)
+    line = np.searchsorted(begins, points[:, 0], side="right") - 1  # index of the line of each point
+    is_target = np.append(line[1:] != line[:-1], True)  # the last point of its line
+    # numbers of auxiliary points are in the first columns, those of targets behind them
+    number_count = np.diff(np.searchsorted(tokens.starts, points[:, 0]), append=len(column))  # of each point
+    column += np.repeat(np.where(is_target, _NUMBERS_OF_TARGET, 0), number_count)
+    numbers, spans = _number_table(tokens, column, 2 * _NUMBERS_OF_TARGET, begins, shift)
+    via_line, via_targets = line[~is_target], via_points.targets.copy()
+    via_targets[via_line] = points[~is_target] + shift[via_line, None]
+    via_points = ViaPoints(numbers[:, :3].copy(), spans[:, :3].copy(), via_targets)
+    return _LinePoints(numbers[:, _NUMBERS_OF_TARGET:], spans[:, _NUMBERS_OF_TARGET:], points[is_target], via_points)
 
 
-def _rows_and_columns(column: Ints, begins: Ints, starts: Ints) -> tuple[Ints | slice, Ints]:
-    """Return the row (T,) and the column (T,) of each of T numbers in the table of P lines.
+def _number_table(tokens: _NumberTokens, column: Ints, width: int, begins: Ints, shift: Ints) -> tuple[Array, Offsets]:
+    """Return the T numbers in P lines as a table (P, width), and their spans in the file (P, width, 2).
 
-    If all lines have the same C columns, the row is a slice of all rows, and the columns are (C,).
+    A line without a number for a column has NaN there, and a span of −1.
 
-    :param column: (T,) column of each number.
-    :param begins: (P,) offsets at which the lines begin.
-    :param starts: (T,) offsets of the numbers.
+    :param tokens: the numbers, and their offsets in the text of the lines.
+    :param column: (T,) column of each number in the table.
+    :param begins: (P,) offsets in the text at which the lines begin.
+    :param shift: (P,) offset in the file minus offset in the text, for each line.
     """
-    width, remainder = divmod(len(starts), len(begins))
-    if remainder == 0:
-        groups = column.reshape(-1, width)
-        if (groups == groups[0]).all():  # columns increase within a line, so that no line reaches into the next group
-            return slice(None), groups[0]
-    first = np.searchsorted(starts, begins)  # index of the first number of each line
-    return np.repeat(np.arange(len(begins)), np.diff(first, append=len(starts))), column
+    first_token = np.searchsorted(tokens.starts, begins)  # index of the first number of each line
+    row = np.repeat(np.arange(len(begins)), np.diff(first_token, append=len(column)))
+    numbers = np.full((len(begins), width), np.nan)
+    spans = np.full((len(begins), width, 2), -1, dtype=np.int32)
+    numbers[row, column] = tokens.values
+    spans[row, column, 0] = tokens.starts + shift[row]
+    spans[row, column, 1] = tokens.stops + shift[row]
+    return numbers, spans
 
 
 def _codes_of_numbers(body: bytes) -> Bytes:
@@ -348,8 +341,9 @@ def _codes_of_numbers(body: bytes) -> Bytes:
     letters = np.flatnonzero((codes | 32) == ord("e"))  # | 32: lower case
     # the E of E1, E6POS and C_VEL follows a blank or a letter: it is no exponent, and a digit behind it no number
     if len(letters):
-        names = letters[(codes[letters - 1] == ord(" ")) | (codes[letters - 1] > ord("9"))]
-        codes[names] = codes[names + 1] = ord(" ")
+        previous_codes = codes[letters - 1]
+        letters_of_names = letters[(previous_codes == ord(" ")) | (previous_codes > ord("9"))]  # > "9": a letter
+        codes[letters_of_names] = codes[letters_of_names + 1] = ord(" ")
     return codes
 
 
@@ -449,9 +443,10 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
     motions, settings = [no_motions()], [no_settings()]
     for number, source in enumerate(trace.sources if bulk else ()):
         source_lines = plain_by_source.get(source) or plain_lines_of(source)
-        rows = np.flatnonzero(trace.file == number)  # from 0
+        rows = np.flatnonzero(trace.file == number)  # of this file, from 0
         lines = trace.line[rows]
         columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))
+        # for each row the index of its motion, or setting; −1 if it is none
         motion_indices = _index_of_line(columns.line, len(source.starts))[lines - 1]
         is_motion = motion_indices >= 0
         motions.append(replace(columns.take(motion_indices[is_motion]), line=compact(rows[is_motion] + 1, np.int32)))
@@ -459,13 +454,14 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
         is_setting = setting_indices >= 0
         values = source_lines.settings.values[:, setting_indices[is_setting]]
         settings.append(PlainSettings(rows[is_setting] + 1, values))
-    motion_line = np.concatenate([part.line for part in motions])
-    places = np.empty(len(motion_line), dtype=np.int64)  # rank of each motion by its row
-    places[np.argsort(motion_line, kind="stable")] = np.arange(len(motion_line))
-    setting_line = np.concatenate([part.line for part in settings])
+    # sort the motions and settings of all files by their rows
+    motion_rows = np.concatenate([part.line for part in motions])
+    ranks = np.empty(len(motion_rows), dtype=np.int64)  # of each motion by its row, from 0
+    ranks[np.argsort(motion_rows, kind="stable")] = np.arange(len(motion_rows))
+    setting_rows = np.concatenate([part.line for part in settings])
     values = np.concatenate([part.values for part in settings], axis=1)
-    order = np.argsort(setting_line, kind="stable")
-    return PlainLines([merged_motions(motions, places)], PlainSettings(setting_line[order], values[:, order]))
+    order = np.argsort(setting_rows, kind="stable")
+    return PlainLines([merged_motions(motions, ranks)], PlainSettings(setting_rows[order], values[:, order]))
 
 
 def _index_of_line(lines: Ints, count: int) -> Ints:

@@ -50,19 +50,19 @@ class _OpenRoutine(Struct, eq=False):
 class _Piece(NamedTuple):
     """Consecutive rows of the trace that are consecutive lines of one file.
 
-    :ivar file: number of the file.
+    :ivar file_number: index of the file in the files of the trace.
     :ivar first: line of the first row; `last` is the line of the last row.
     :ivar shown_line: line of the `.src` to report for all rows; 0: the line of each row itself.
-    :ivar for_line: line of the FOR whose counter the only row sets; 0 for rows that are lines of the file.
     :ivar is_live: True if the rows run.
+    :ivar for_line: line of the FOR whose counter the only row sets; 0 for rows that are lines of the file.
     """
 
-    file: int
+    file_number: int
     first: int
     last: int
     shown_line: int
-    for_line: int
     is_live: bool
+    for_line: int = 0
 
 
 class Mark(NamedTuple):
@@ -118,29 +118,30 @@ class Recorder:
             main `.src`.
         """
         open_routine = self._open_routines[-1]
-        return self.row_count + 1 - open_routine.cursor, open_routine.shown_line or line
+        next_row = self.row_count + 1  # that of line `cursor`
+        return next_row - open_routine.cursor, open_routine.shown_line or line
 
     def record_run_lines(self, line: int) -> None:
-        """Record the lines of the present routine up to `line`, as lines that run; do nothing if all are recorded."""
-        first = self.row_count + 1
-        if self._record_to(line, is_live=True):
-            self._add_run_lines(first)
+        """Record the lines of the present routine up to `line` that are not recorded yet, as lines that run."""
+        first_row = self.row_count + 1
+        if self._record_up_to(line, is_live=True):
+            self._add_lines_step(first_row)
 
     def record_passed_lines(self, line: int, *, is_live: bool = True) -> None:
-        """Record the lines of the present routine up to `line` as lines that are in no step of the trace.
+        """Record the lines of the present routine up to `line` that are not recorded yet, as rows outside of all steps.
 
         :param is_live: True for lines that control execution; False for lines that do not run.
         """
-        self._record_to(line, is_live=is_live)
+        self._record_up_to(line, is_live=is_live)
 
     def record_unresolved(self, line: int, cause: ProgramError) -> None:
         """Record the lines of a control structure, up to its last line `line`, that is left uncorrected.
 
         :param cause: why the branch taken is not known before run time.
         """
-        first = self.row_count + 1
-        self._record_to(line, is_live=True)
-        self._steps.append(UnresolvedStructure(first, self.row_count, cause))
+        first_row = self.row_count + 1
+        self._record_up_to(line, is_live=True)
+        self._steps.append(UnresolvedStructure(first_row, self.row_count, cause))
         self.may_call_originals = True
         self.is_final = False
 
@@ -240,6 +241,7 @@ class Recorder:
         FOR: a row that sets the counter precedes these lines.
 
         :param loop: the record of the loop, which gets the new body.
+        :param block: the loop in its file.
         :param number: value of the counter of FOR in this iteration; None for other loops.
         """
         body = Body(self.row_count + 1)
@@ -252,22 +254,25 @@ class Recorder:
         """Record at once all rounds of a FOR that differ only in the value of its counter.
 
         :param loop: the record of the loop, which gets the bodies of the rounds.
+        :param block: the FOR in its file.
+        :param rounds: number and rows of the rounds; they begin with the next row.
         """
-        file, shown_line = self._present_file_number(), self._open_routines[-1].shown_line
-        # each round: a row that sets the counter, whose line is `for_line`, and the lines between FOR and ENDFOR
-        assignment = _Piece(file, 1, 1, shown_line, for_line=block.first, is_live=True)
-        body_lines = _Piece(file, block.first + 1, block.last - 1, shown_line, for_line=0, is_live=True)
-        self._pieces += [assignment, body_lines] * rounds.count
+        routine = self._open_routines[-1]
+        body_lines = _Piece(
+            self._file_number(routine.source), block.first + 1, block.last - 1, routine.shown_line, is_live=True
+        )
+        self._pieces += [self._assignment_piece(block), body_lines] * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain_rounds = rounds
         self.row_count = rounds.stop_row - 1
         self.is_final = False
-        self._add_run_lines(rounds.first)
+        self._add_lines_step(rounds.first)
 
     def end_round(self, block: Block, *, is_whole: bool) -> None:
         """End the innermost iteration of a loop.
 
+        :param block: the loop in its file.
         :param is_whole: False if EXIT, RETURN or GOTO has ended it before its last line.
         """
         if is_whole:
@@ -279,6 +284,7 @@ class Recorder:
         """End a loop; recording continues behind its last line.
 
         :param loop: the record of the loop.
+        :param block: the loop in its file.
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:  # no round has run
@@ -308,8 +314,8 @@ class Recorder:
         columns = np.array(self._pieces, dtype=np.int64).T  # one for each field of `_Piece`
         _, first_lines, last_lines, *_ = columns
         lengths = last_lines - first_lines + 1
-        file, first, _, shown_line, for_line, is_live = (np.repeat(values, lengths) for values in columns)
-        # rows of a piece are consecutive lines; a line number of 0 is not given
+        file, first, _, shown_line, is_live, for_line = (np.repeat(values, lengths) for values in columns)
+        # rows of a piece are consecutive lines; 0 in `for_line` or `shown_line`: the line of the row itself
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
         shown = np.where(shown_line > 0, shown_line, line)
         return Course(
@@ -326,8 +332,12 @@ class Recorder:
             count_of_row=dict(self._counter_values),
         )
 
-    def _record_to(self, line: int, *, is_live: bool) -> bool:
-        """Record the lines of the present routine up to `line`; return whether there were any."""
+    def _record_up_to(self, line: int, *, is_live: bool) -> bool:
+        """Record the lines of the present routine up to `line` that are not recorded yet, without a step.
+
+        :param is_live: True if the lines run.
+        :returns: False if there are no such lines.
+        """
         open_routine = self._open_routines[-1]
         if line < open_routine.cursor:
             return False
@@ -336,39 +346,44 @@ class Recorder:
         return True
 
     def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, is_live: bool) -> None:
-        """Record lines first … last of a file; nothing if last < first.
+        """Add the lines first … last of a file to the trace, one row for each; nothing if last < first.
 
+        :param source: the file.
         :param shown_line: line of the `.src` to report for all these lines; 0: each line itself.
         :param is_live: True if the lines run.
         """
         if last < first:
             return
-        file = self._sources.setdefault(source, len(self._sources))
-        self._pieces.append(_Piece(file, first, last, shown_line, for_line=0, is_live=is_live))
+        self._pieces.append(_Piece(self._file_number(source), first, last, shown_line, is_live))
         self.row_count += last - first + 1
 
-    def _present_file_number(self) -> int:
-        """Return the number of the file of the present routine in the trace; a new file gets the next number."""
-        return self._sources.setdefault(self._open_routines[-1].source, len(self._sources))
+    def _file_number(self, source: Source) -> int:
+        """Return the index of a file in the files of the trace; a new file is added."""
+        return self._sources.setdefault(source, len(self._sources))
 
     def _record_assignment(self, block: Block, number: int | None) -> None:
         """Record a row that sets the counter of a FOR to a number, as a row that runs.
 
-        :param number: None, for other loops: nothing is recorded.
+        :param block: the loop in its file.
+        :param number: value of the counter; None, for other loops: nothing is recorded.
         """
         if number is None:
             return
-        shown_line = self._open_routines[-1].shown_line
-        # first and last are equal, for one row; its line is `for_line`
-        self._pieces.append(_Piece(self._present_file_number(), 1, 1, shown_line, for_line=block.first, is_live=True))
+        self._pieces.append(self._assignment_piece(block))
         self.row_count += 1
         self._counter_values.append((self.row_count, number))
-        self._add_run_lines(self.row_count)
+        self._add_lines_step(self.row_count)
 
-    def _add_run_lines(self, first: int) -> None:
-        """Add the rows from `first` to the last as `Lines` that run, joined with `Lines` that end directly before."""
+    def _assignment_piece(self, block: Block) -> _Piece:
+        """Return the row that sets the counter of a FOR of the present routine: its line is that of the FOR."""
+        routine = self._open_routines[-1]
+        number = self._file_number(routine.source)
+        return _Piece(number, 1, 1, routine.shown_line, is_live=True, for_line=block.first)  # 1 … 1: one row
+
+    def _add_lines_step(self, first_row: int) -> None:
+        """Add the rows from `first_row` on as a step: to `Lines` that end directly before, or as new `Lines`."""
         last_step = self._steps[-1] if self._steps else None
-        if isinstance(last_step, Lines) and last_step.last == first - 1:
+        if isinstance(last_step, Lines) and last_step.last == first_row - 1:
             self._steps[-1] = Lines(last_step.first, self.row_count)
         else:
-            self._steps.append(Lines(first, self.row_count))
+            self._steps.append(Lines(first_row, self.row_count))
