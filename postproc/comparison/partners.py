@@ -83,13 +83,32 @@ def partners_under_force(
         for k in np.flatnonzero(is_mismatched)[:_MAX_MOVES].tolist():
             candidates = _free_neighbours(new_partner, k, len(corrected_path.rows))
             candidates = candidates[is_corrected_ptp[candidates] == is_ptp[k]]
+            # those next to the present partner first
             candidates = candidates[np.argsort(np.abs(candidates - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
-            rows, index = corrected_path.rows[candidates], np.full(len(candidates), k)
-            q, displacement = corrected_path.joints[rows], corrected_path.carriage_displacement(rows)
-            distance = norm(deviation(nominal_path, nominal_path.rows[index], q, wrench[index], displacement))
-            if len(candidates) and distance.min() <= tolerance:
-                new_partner[k] = candidates[np.argmin(distance)]
+            candidate_distances = _loaded_distances(nominal_path, corrected_path, candidates, k, wrench[k])
+            if candidate_distances.min(initial=np.inf) <= tolerance:
+                new_partner[k] = candidates[np.argmin(candidate_distances)]
     return new_partner
+
+
+def _loaded_distances(
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, candidates: Ints, k: int, wrench: Array
+) -> Array:
+    """Return the distances (c,) [m] of the loaded tip from nominal target `k` at targets of the second program.
+
+    :param candidates: (c,) indices of these targets in `corrected_path.rows`.
+    :param wrench: (6,) at the tip at target `k`, root axes [N, N·m].
+    :raises ForceError: the arm has no equilibrium under the force.
+    """
+    rows, count = corrected_path.rows[candidates], len(candidates)
+    deviations = deviation(
+        nominal_path,
+        np.repeat(nominal_path.rows[k], count),
+        corrected_path.joints[rows],
+        np.tile(wrench, (count, 1)),
+        corrected_path.carriage_displacement(rows),
+    )
+    return norm(deviations)
 
 
 def _free_neighbours(partner: Ints, k: int, count: int) -> Ints:
@@ -294,11 +313,11 @@ def moved_pairs(
     target_number = {row: number for number, row in enumerate(corrected_path.rows.tolist())}  # of motions with a target
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
-        for k in (next_pair, next_pair - 1):
-            if not 0 <= k < len(pair) or not is_single_change[k]:
-                continue
+        adjacent_pairs = [k for k in (next_pair, next_pair - 1) if 0 <= k < len(pair)]  # behind and before the target
+        for k in adjacent_pairs:
             are_neighbours = abs(target_number[int(pair[k, 1])] - target_number[row]) == 1
-            if are_neighbours and _is_moved_target(nominal_path, corrected_path, pair, distance, k, row):
+            is_candidate = is_single_change[k] and are_neighbours
+            if is_candidate and _is_moved_target(nominal_path, corrected_path, pair, distance, k, row):
                 pair[k, 1] = row
                 break
     return pair
@@ -333,8 +352,8 @@ def _is_on_path(
     :param rows: (r,) motions of the second program that end at the targets.
     """
     is_on_path = np.zeros(len(rows), dtype=bool)
-    next_pair = np.searchsorted(pair[:, 1], rows)
-    candidates = np.flatnonzero(next_pair < len(pair))
+    next_pair = np.searchsorted(pair[:, 1], rows)  # the first pair behind each target
+    candidates = np.flatnonzero(next_pair < len(pair))  # targets behind the last pair are between no two
     candidates = candidates[~_has_ptp_before(nominal_path, pair[:, 0])[next_pair[candidates]]]
     rows, next_pair = rows[candidates], next_pair[candidates]
     position = commanded_positions(nominal_path.program, pair[next_pair, 0], corrected_path.program, rows)
@@ -342,17 +361,14 @@ def _is_on_path(
     limit = OFF_PATH + TIMES_OFFSET * np.maximum(previous_distance, distance[next_pair])
     begin, end = stretch_limits(nominal_path, pair[:, 0], next_pair)
     corrected_begin, corrected_end = stretch_limits(corrected_path, pair[:, 1], next_pair)
-    length, path_distance = corrected_path.arc_length[rows + 1], np.full(len(rows), np.inf)
     # three likely places are cheap to try: at the same share of the stretch, at the same length from its begin, and at
     # the same length to its end
+    length = corrected_path.arc_length[rows + 1]
     share = (length - corrected_begin) / np.maximum(corrected_end - corrected_begin, NO_DISTANCE)
-    for nominal_length in (
-        begin + share * (end - begin),
-        begin + length - corrected_begin,
-        end - (corrected_end - length),
-    ):
-        points = nominal_path.points(np.clip(nominal_length, begin, end))
-        path_distance = np.minimum(path_distance, norm(position - points))
+    likely_lengths = (begin + share * (end - begin), begin + length - corrected_begin, end - (corrected_end - length))
+    points = [nominal_path.points(np.clip(likely_length, begin, end)) for likely_length in likely_lengths]
+    path_distance = np.minimum.reduce([norm(position - place) for place in points])
+    # the whole stretch is searched for targets that are near none of these places
     distant_rows = np.flatnonzero(~(path_distance <= limit))
     if len(distant_rows):
         path_distance[distant_rows] = distances_from_path(

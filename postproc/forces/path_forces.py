@@ -95,25 +95,17 @@ class PathForces(Struct, frozen=True, eq=False):
             covariances, see `elastostatics.position_bound`. First come six columns for independent components. Then
             come six columns for the errors that the factor does not contain, and one column for the factor.
         """
-        independent = self.spread_at(sample)
-        if independent is None:
+        spread = self.spread_at(sample)
+        if spread is None:
             return None
-        deviations = [independent]
-        has_factor = self.factor.any()
-        if has_factor:
-            deviations += [
-                self._columns_in_base(self._remaining_deviation, sample),
-                self._columns_in_base(self._factor_deviation, sample),
-            ]
-        in_root = [columns_in_root(self.axes.program, sample.motion, columns) for columns in deviations]
-        spread = np.zeros((len(sample), 6, 13 if has_factor else 6))
-        # force and moment are independent: two blocks (3, 3) on the diagonal of six columns, for each covariance
-        for index, columns in enumerate(in_root[:2]):
-            spread[:, :3, 6 * index : 6 * index + 3] = columns[:, 0]
-            spread[:, 3:, 6 * index + 3 : 6 * index + 6] = columns[:, 1]
-        if has_factor:
-            spread[:, :, 12] = in_root[2].reshape(-1, 6)
-        return spread
+        independent = _wrench_columns(columns_in_root(self.axes.program, sample.motion, spread))
+        if not self.factor.any():
+            return independent
+        remaining, factor = (
+            columns_in_root(self.axes.program, sample.motion, self._columns_in_base(deviation, sample))
+            for deviation in (self._remaining_deviation, self._factor_deviation)
+        )
+        return np.concatenate([independent, _wrench_columns(remaining), factor.reshape(-1, 6, 1)], axis=2)
 
     def _factor_deviation(self, knots: Ints) -> Array:
         """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
@@ -136,7 +128,8 @@ class PathForces(Struct, frozen=True, eq=False):
     def is_behind_step(self, motion: Ints, t: Array) -> Bools:
         """Return True for places (n,) just behind the start of a motion without a ramp: the force may have a step.
 
-        They are within 1.5 times `BEHIND_STEP` of the start: samples have this distance, the half more is for rounding.
+        Samples behind a step are at the distance `BEHIND_STEP` from it. Places up to 1.5 times as far count: rounding
+        moves a sample by less.
 
         :param motion: (n,) rows of `Motions`, and `t` (n,) the places on them, in [0, 1].
         """
@@ -170,6 +163,13 @@ class PathForces(Struct, frozen=True, eq=False):
         values = self.axes.in_base_axes(values, frame, sample)
         values[ramp_rows] = begin[~same_frame] + share[~same_frame] * (values[ramp_rows] - begin[~same_frame])
         return values
+
+
+def _wrench_columns(columns: Array) -> Array:
+    """Return columns (N, 6, 6) of the wrench from columns (N, 2, 3, 3) of force and moment, which are independent."""
+    wrench_columns = np.zeros((len(columns), 6, 6))
+    wrench_columns[:, :3, :3], wrench_columns[:, 3:, 3:] = columns[:, 0], columns[:, 1]
+    return wrench_columns
 
 
 def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
@@ -265,7 +265,7 @@ def _forces_with_ramps(
     knot of a ramped motion moves to the end of the ramp.
 
     :param knots: in order, at least one on every motion.
-
+    :param axes: axes of the forces, with program and path.
     :param ramp: length over which a force builds up if it is given for a whole motion [m].
     :param issues: warnings and notes for the user, and `law_forces` the motions whose forces a cutting law computes.
     """
@@ -435,18 +435,20 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
     change, bends = _changes_and_bends(forces, motion)
     step_size = _displacement_sizes(_force_steps(forces), compliance)
-    step = np.flatnonzero(step_size > _LEAST_STEP)
-    step_place = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step], BEHIND_STEP))
-    rotating_size, swings = _turning_displacements(forces, motion, compliance)
-    knot_rows = np.flatnonzero(bends | (m.kind[motion] == CIRC))
-    place_motion, place_t = np.append(motion[knot_rows], step), np.append(forces.t[knot_rows], step_place)
+    step_motions = np.flatnonzero(step_size > _LEAST_STEP)
+    # `BEHIND_STEP` behind the start of the motion, at most in its middle
+    step_t = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step_motions], BEHIND_STEP))
+    turning_size, swings = _turning_displacements(forces, motion, compliance)
+    # places: the knots that count, and the places behind steps
+    knots = np.flatnonzero(bends | (m.kind[motion] == CIRC))
+    place_motion, place_t = np.append(motion[knots], step_motions), np.append(forces.t[knots], step_t)
     order = np.lexsort((place_t, place_motion))  # by motion, then by t
     return DisplacementEstimate(
         motion=place_motion[order],
         t=place_t[order],
-        change=np.append(_displacement_sizes(change, compliance)[knot_rows], step_size[step])[order],
-        is_bend=np.append(bends[knot_rows], np.ones(len(step), dtype=np.bool_))[order],
-        turning=rotating_size,
+        change=np.append(_displacement_sizes(change, compliance)[knots], step_size[step_motions])[order],
+        is_bend=np.append(bends[knots], np.ones(len(step_motions), dtype=np.bool_))[order],
+        turning=turning_size,
         size=_largest_of_motions(forces, _displacement_sizes(forces.wrench[:], compliance)),
         swings=swings,
     )
@@ -519,18 +521,14 @@ def _has_rate_change(t: Array, change: Array, follows: Bools) -> Bools:
     :param follows: (K,) True for knots that follow another knot of the same motion.
     """
     bends = np.zeros(len(t), dtype=np.bool_)
-    inner_knots = np.flatnonzero((t > 0.0) & (t < 1.0))
-
-    def rate(rows: Ints) -> Array:
-        """Return the change (n, 6) per t up to knots (n,); 0 at the first knot of a motion."""
-        rates, has_previous = np.zeros((len(rows), 6)), np.append(follows, False)[rows]
-        rows = rows[has_previous]
-        rates[has_previous] = change[rows] / (t[rows] - t[rows - 1])[:, None]
-        return rates
-
+    knots = np.flatnonzero((t > 0.0) & (t < 1.0))
+    # t since the knot before; infinite where there is none, also behind the last knot: the rate is 0 there
+    interval = np.append(np.where(follows, np.diff(t, prepend=0.0), np.inf), np.inf)
+    next_change = change[np.minimum(knots + 1, len(t) - 1)]
+    rate_change = next_change / interval[knots + 1, None] - change[knots] / interval[knots, None]
     # a change of the rate counts by the change of force that it makes over the interval before it
-    width = np.where(follows[inner_knots], t[inner_knots] - t[inner_knots - 1], 1.0)
-    bends[inner_knots] = largest((rate(inner_knots + 1) - rate(inner_knots)) * width[:, None]) >= _LEAST_CHANGE
+    width = np.where(follows[knots], interval[knots], 1.0)
+    bends[knots] = largest(rate_change * width[:, None]) >= _LEAST_CHANGE
     return bends
 
 

@@ -142,21 +142,29 @@ def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
     """
     writer = task.job.writer
     paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)  # the .src first
-    contents: list[bytes] = []
-    for path in paths:
-        record = next((record for record in task.records if path.name in record.files), None)
-        try:
-            content = b"" if record is None else (record.folder / path.name).read_bytes()
-        except OSError:
-            return False
-        if record is None or digest([content]) != record.files[path.name]:
-            return False
-        contents.append(content)
+    contents = [_intact_content(task.records, path.name) for path in paths]
+    if contents[0] is None or None in contents:
+        return False
     try:
         origin = writer.origin([decode(paths[0].name, contents[0])])
         return origin.sums.get("source") == digest(path.read_bytes() for path in paths)
     except (OSError, ProgramError):
         return False
+
+
+def _intact_content(records: Sequence[Record], name: str) -> bytes | None:
+    """Return the content of a file that was written for a program, by the first record that lists it.
+
+    :returns: None if no record lists the file, it cannot be read, or it was changed after it was written.
+    """
+    record = next((record for record in records if name in record.files), None)
+    if record is None:
+        return None
+    try:
+        content = (record.folder / name).read_bytes()
+    except OSError:
+        return None
+    return content if digest([content]) == record.files[name] else None
 
 
 def differing_files(
@@ -414,9 +422,8 @@ class OutputPlan:
             name for name in outcome.shared_files if _file_digest(job.output / name) not in ("", sums[name])
         ]
         if not self._overwrite:
-            foreign_files = self._foreign_files(
-                job, [name for name in unplanned_names if name not in outcome.shared_files or name in changed_names]
-            )
+            unchanged_names = set(outcome.shared_files) - set(changed_names)
+            foreign_files = self._foreign_files(job, [name for name in unplanned_names if name not in unchanged_names])
             # a shared file may be from any other program, another file only from a program still to be converted
             refuse(
                 [
@@ -425,7 +432,7 @@ class OutputPlan:
                     if not folder.is_from_other_program(job, path, only_pending=path.name not in outcome.shared_files)
                 ]
             )
-        obsolete = [name for name in _obsolete_names(job, mode, names) if not folder.owners(job, name)]
+        obsolete = [name for name in _obsolete_names(job, mode, names) if not folder.records_of_others(job, name)]
         if not self._overwrite:
             refuse(find_foreign_files(job.output, obsolete, job.report_name(mode)))
         partners = folder.programs_needing(changed_names) - {job.report_name(mode)} if changed_names else frozenset()
@@ -530,15 +537,12 @@ class OutputPlan:
         """
         mode, folder = self._mode, self._folders[job.output]
         names = _existing_names(job, _run_files(job, mode))
-        owners = {name: folder.owners(job, name) for name in names}
-        own_names = [name for name in names if not owners[name]]
-        changed_files = self._foreign_files(job, own_names)  # not by postproc, or edited
+        own_names = [name for name in names if not folder.records_of_others(job, name)]
+        shared_names = [name for name in names if name not in own_names]
+        # files that postproc did not write, or that were edited since
+        changed_files = self._foreign_files(job, own_names)
         changed_files += [
-            path
-            for name, other_owners in owners.items()
-            if other_owners
-            for path in self._foreign_files(job, [name])
-            if not folder.is_from_other_program(job, path)
+            path for path in self._foreign_files(job, shared_names) if not folder.is_from_other_program(job, path)
         ]
         if not own_names:
             return ""
@@ -656,9 +660,10 @@ class _Folder:
             if report in self._earlier_records and not self._earlier_records[report].files.keys().isdisjoint(names)
         )
 
-    def owners(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
-        """Return the records of other programs than that of a job that list a file.
+    def records_of_others(self, job: Job, name: str, *, only_pending: bool = False) -> list[Record]:
+        """Return the records of other programs than that of a job that list a file: it was written for these too.
 
+        :param name: name of the file.
         :param only_pending: only records of programs that are still to be converted.
         """
         own_report = job.report_name(self._mode)
@@ -671,9 +676,9 @@ class _Folder:
     def is_from_other_program(self, job: Job, path: Path, *, only_pending: bool = False) -> bool:
         """Return whether a file is as it was written for another program than that of a job.
 
-        :param only_pending: see `owners`.
+        :param only_pending: see `records_of_others`.
         """
-        owners = self.owners(job, path.name, only_pending=only_pending)
+        owners = self.records_of_others(job, path.name, only_pending=only_pending)
         return bool(owners) and _file_digest(path) in {record.files[path.name] for record in owners}
 
     def dependent_record(self, job: Job, path: Path) -> Record | None:
@@ -682,8 +687,8 @@ class _Folder:
         None: no program needs it. None also if an earlier run wrote the file for this job too, or if it is a copy of a
         source of this job, whose routines without motions stay equal.
         """
-        pending = self.owners(job, path.name, only_pending=True)
-        records = [record for record in self.owners(job, path.name) if record not in pending]
+        pending = self.records_of_others(job, path.name, only_pending=True)
+        records = [record for record in self.records_of_others(job, path.name) if record not in pending]
         file_digest = _file_digest(path) if records else ""
         if not file_digest or self._job_files(job).get(path.name) == file_digest:
             return None
@@ -697,7 +702,7 @@ class _Folder:
         """Return whether a file is a copy for another program, written as it was read and not changed afterwards."""
         return any(
             path.name in record.copied and record.files[path.name] == _file_digest(path)
-            for record in self.owners(job, path.name)
+            for record in self.records_of_others(job, path.name)
         )
 
 

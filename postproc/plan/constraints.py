@@ -50,8 +50,8 @@ class State(Columns, frozen=True, eq=False):
     def of(cls, site: Site, q: Array, tilt: Array | None) -> State:
         """Return configurations q (N, 6) [rad] with the poses of the arm.
 
-        :param tilt: (N, 2) of the load [rad]; None: no load. A tilt is a vector along the horizontal part of the load,
-            as long as the angle of the load from straight down.
+        :param tilt: (N, 2) x, y in root axes [rad] along the horizontal part of the load; the length is the angle of
+            the load from straight down. None: no load.
         """
         return cls(q, None if tilt is None else direction(tilt), site.arm.pose(q))
 
@@ -146,8 +146,10 @@ def torques(site: Site, state: State) -> Array:
     if site.robot.compensator is not None:
         torque[:, 1] += site.robot.compensator.gradient(state.q[:, 1])
     if state.load_direction is not None:
-        lever = state.arm_poses.velocity(state.arm_poses.point(site.load_point[None]))[:, 0]
-        torque -= site.rig.force * np.einsum("nij,nj->ni", lever, state.load_direction)
+        load_points = state.arm_poses.point(site.load_point[None])  # (N, 1, 3)
+        derivatives = state.arm_poses.velocity(load_points)[:, 0]  # (N, 6, 3) of the load point by the joints [m/rad]
+        # the load exerts force · derivative · direction on a joint, and the joint balances it
+        torque -= site.rig.force * np.einsum("nij,nj->ni", derivatives, state.load_direction)
     return torque
 
 
@@ -199,13 +201,15 @@ def _capsule_pairs(site: Site, state: State) -> list[tuple[Capsule, Capsule]]:
     column, link, elbow, forearm, hand = arm_parts(site, state)
     tool, load = tool_parts(site, state), load_parts(site, state)
     front_half = Capsule("forearm", 0.5 * (forearm.start + forearm.end), forearm.end, forearm.radius)
-    # the forearm, of one length in all configurations, is shortened by its radius, at most by half: its round end would
-    # touch hand and tool; 1e-9 keeps zero out of the denominator
-    share = 1.0 - min(0.5, forearm.radius / max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9))
+    # the forearm is shortened by its radius, at most by half: its round end would touch hand and tool
+    length = max(float(np.linalg.norm(forearm.end[0] - forearm.start[0])), 1e-9)  # equal in all configurations; not 0
+    share = 1.0 - min(0.5, forearm.radius / length)
     forearm = Capsule("forearm", forearm.start, forearm.start + share * (forearm.end - forearm.start), forearm.radius)
     pairs = [(part, counterpart) for part in (column, link) for counterpart in (front_half, hand, *tool)]
-    pairs += [(elbow, counterpart) for counterpart in (hand, *tool)] + [(forearm, counterpart) for counterpart in tool]
-    return pairs + [(part, counterpart) for part in (column, link, elbow, forearm) for counterpart in load]
+    pairs += [(elbow, counterpart) for counterpart in (hand, *tool)]
+    pairs += [(forearm, counterpart) for counterpart in tool]
+    pairs += [(part, counterpart) for part in (column, link, elbow, forearm) for counterpart in load]
+    return pairs
 
 
 def _axis_distances(pairs: list[tuple[Capsule, Capsule]]) -> Array:
@@ -243,10 +247,9 @@ def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape 
     for part in parts:
         rows = np.flatnonzero(is_clear)
         start, end = part.start[rows], part.end[rows]
-        length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
-        is_clear[rows] = (
-            obstacle.distance(points_on_segments(start, end, length)).min(axis=1) >= part.radius + site.clearance
-        )
+        length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))  # gives the number of points on the axis
+        distances = obstacle.distance(points_on_segments(start, end, length)).min(axis=1)
+        is_clear[rows] = distances >= part.radius + site.clearance
     return is_clear
 
 
