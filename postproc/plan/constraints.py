@@ -247,7 +247,8 @@ def _keeps_clearance(site: Site, parts: tuple[Capsule, ...], obstacle: BoxShape 
     for part in parts:
         rows = np.flatnonzero(is_clear)
         start, end = part.start[rows], part.end[rows]
-        length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))  # gives the number of points on the axis
+        # the longest axis gives the number of points on all of them
+        length = float(np.linalg.norm(end - start, axis=1).max(initial=0.0))
         distances = obstacle.distance(points_on_segments(start, end, length)).min(axis=1)
         is_clear[rows] = distances >= part.radius + site.clearance
     return is_clear
