@@ -87,9 +87,84 @@ def test_routines_of_another_module_are_known_but_not_followed(beside, routines,
 def test_a_file_that_is_missing_and_names_that_are_twice_are_errors_of_the_cell(beside, tmp_path):
     with pytest.raises(PostprocError, match=r"\[rapid\] modules: it cannot be read"):
         beside(SPLIT, files=["Calib.mod"])
-    (tmp_path / "more.mod").write_text("MODULE More\n  LOCAL CONST num vCut:=1;\nENDMODULE\n")
+    (tmp_path / "more.mod").write_text("MODULE More\n  CONST num vCut:=1;\nENDMODULE\n")
     with pytest.raises(PostprocError, match="VCUT is declared in two of them, CALIBDATA and MORE"):
         beside(SPLIT, files=["CalibData.mod", "more.mod"])
+
+
+def own_data(declaration, *calls):
+    """Return a program with a declaration of its own that moves to pHome behind some calls."""
+    lines = [*calls, f"MoveL Offs(pHome,0,0,-z){tail()}", *CODE]
+    return module(lines, f"  {declaration}\n  VAR num z:=5;\n").replace(f"  {TOOLDATA}\n  {WOBJ}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("routines", "call"),
+    [
+        ("", ""),
+        ("PROC slow()\n pHome.trans.z:=90;\nENDPROC", "slow;"),
+        ("PROC slow()\n clean;\nENDPROC\nLOCAL PROC clean()\n pHome.trans.z:=90;\nENDPROC", "slow;"),
+        ("TRAP late\n pHome.trans.z:=90;\nENDTRAP", ""),
+        ("FUNC num slow()\n pHome.trans.z:=90;\n RETURN 1;\nENDFUNC", "IF slow()=1 TPErase;"),
+        ('PROC slow()\n %"clean"%;\nENDPROC\nLOCAL PROC clean()\n pHome.trans.z:=90;\nENDPROC', "slow;"),
+    ],
+)
+def test_local_data_of_the_program_hide_those_of_another_module(beside, routines, call):
+    """The other module has a pHome of its own, 40 mm away, which its routines change."""
+    program = beside(own_data(f"LOCAL VAR robtarget pHome:={at(40, 0, 60)};", call), routines)
+    expected = read(
+        module([], SPEED)
+        .replace("  PROC main", f"  VAR robtarget pHome:={at(40, 0, 60)};\n  PROC main")
+        .replace("  ENDPROC", f"    MoveL Offs(pHome,0,0,-5){tail()}\n  ENDPROC")
+    )
+    assert np.array_equal(program.motions.target[0], expected.motions.target[0])
+
+
+@pytest.mark.parametrize(
+    ("routines", "call", "problem"),
+    [
+        # names of its own in the other module: data, routines, and a component and an option that are called like them
+        ("LOCAL VAR num z:=80;\nPROC slow()\n z:=81;\nENDPROC", "slow;", ""),
+        ("LOCAL PROC main()\n z:=90;\n z:=z+nLocal;\nENDPROC\nLOCAL VAR num nLocal;\nLOCAL VAR num z;", "", ""),
+        ("LOCAL PROC main()\n pHome.trans.z:=90;\nENDPROC", "", "PHOME is not known: MAIN of CALIBDATA may change it"),
+        ("LOCAL CONST num main:=7;\nCONST num nDeep:=main;", "z:=nDeep-2;", ""),
+        ("LOCAL CONST num trans:=7;\nCONST num nDeep:=pHome.trans.z-55;", "z:=nDeep;", ""),
+        ("LOCAL VAR num trans;\nPROC slow()\n pHome.trans.z:=90;\nENDPROC", "slow;", "PHOME is not known: SLOW"),
+        ("LOCAL VAR num k;\nPROC slow(\\INOUT num k)\n k:=1;\nENDPROC", "slow \\k:=z;", "Z is not known: SLOW"),
+        ("LOCAL PROC clean()\n z:=1;\n pHome.trans.z:=90;\nENDPROC\nPROC slow()\n clean;\nENDPROC", "slow;", "PHOME"),
+        ("VAR num z;", "", "Z is declared in two modules, CALIBDATA and PART"),
+    ],
+)
+def test_local_names_of_another_module_are_its_own(beside, routines, call, problem):
+    text = own_data("", call)
+    if problem:
+        with pytest.raises(PostprocError) as caught:
+            beside(text, routines)
+        assert problem in str(caught.value)
+    else:
+        program = beside(text, routines)
+        whole = read(own_data(f"{TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}"))
+        assert np.array_equal(program.motions.target, whole.motions.target)
+        assert not program.issues
+
+
+def test_a_local_routine_of_another_module_is_not_called(beside):
+    text = SPLIT.replace("    MoveL", "    clean;\n    MoveL")
+    with pytest.raises(PostprocError, match="CLEAN, which is in no module of this file, may change it"):
+        beside(text, "LOCAL PROC clean()\nENDPROC")
+    assert len(beside(text, "PROC clean()\nENDPROC").motions) == 3
+
+
+def test_local_names_may_be_those_of_other_modules(beside, tmp_path):
+    text = "MODULE More\n  LOCAL CONST num vCut:=1;\n  LOCAL PROC clean()\n  ENDPROC\nENDMODULE\n"
+    (tmp_path / "more.mod").write_text(text)
+    files = ["CalibData.mod", "more.mod"]
+    program = beside(SPLIT, "LOCAL PROC clean()\nENDPROC", files)
+    assert np.array_equal(program.motions.feed, read(WHOLE).motions.feed, equal_nan=True)
+    hiding = module(CODE, SPEED.replace("  CONST", "  LOCAL CONST").replace("37", "21")).replace(
+        f"  {TOOLDATA}\n  {WOBJ}\n", ""
+    )
+    assert beside(hiding, files=files).motions.feed[-1] == pytest.approx(0.021)
 
 
 def test_data_of_another_module_are_never_changed(tmp_path):

@@ -977,9 +977,9 @@ class Execution:
 
 
 def _check_names(modules: tuple[Module, ...]) -> None:
-    """Check that no two modules declare one name.
+    """Check that no two modules declare one name, see `name_clash`.
 
-    :raises RapidError: two modules do: the data or routine that a name means would depend on the module.
+    :raises RapidError: two modules do.
     """
     clash = name_clash(modules)
     if clash is not None:

@@ -74,6 +74,8 @@ def expand(
     for pass_number in range(_MOST_PASSES):
         program_modules = modules(text)
         entry = entry_of(program_modules)
+        if pass_number == 0:
+            loaded = loaded.seen_from(program_modules)
         try:
             execution = Execution(program_modules, entry, cell_value, without_effect, loaded)
             executed = execution.run()

@@ -1,11 +1,15 @@
 """Modules that the controller has loaded in addition to the program: their data, and changes by their routines.
 
 Their routines are not executed: data that they change are unknown behind their calls, and they must not move the robot.
+
+LOCAL data and routines are known in their module only, where they hide those of other modules (3HAC16580). Since data
+and routines are found by their names alone, LOCAL names of these modules, and names that the program hides, get the
+module while they are parsed: ``CLEAN of CALIBDATA``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,10 +36,25 @@ class LoadedModules(Struct, frozen=True, eq=False):
     """Modules in addition to the program.
 
     :ivar data: name → data of all these modules at the beginning of the program, without LOCAL data.
+    :ivar documents: the files of the modules.
     """
 
     modules: tuple[Module, ...] = ()
     data: dict[str, Variable] = {}
+    documents: tuple[Document, ...] = ()
+
+    def seen_from(self, program: Sequence[Module]) -> LoadedModules:
+        """Return these modules with other names where the only module of a program has LOCAL ones.
+
+        :param program: the modules of the program. Nothing is hidden if there are several.
+        """
+        if len(program) != 1:
+            return self
+        hidden_names = _local_names(program[0]) & {name for module in self.modules for name in _names(module)}
+        if not hidden_names:
+            return self
+        loaded_modules = _parsed(self.documents, hidden_names)
+        return LoadedModules(loaded_modules, _global_data(loaded_modules), self.documents)
 
 
 def load_modules(cell: Cell) -> LoadedModules:
@@ -45,8 +64,8 @@ def load_modules(cell: Cell) -> LoadedModules:
         function of RAPID.
     :raises ProgramError: a file is not RAPID.
     """
-    files = [Path(cell.folder) / name for name in cell.rapid.modules]
-    loaded_modules = tuple(module for file in files for module in _modules_of(file))
+    documents = tuple(_document(Path(cell.folder) / name) for name in cell.rapid.modules)
+    loaded_modules = _parsed(documents)
     clash = name_clash(loaded_modules)
     if clash is not None:
         module_names = f"{clash.first_module} and {clash.second_module}"
@@ -57,7 +76,7 @@ def load_modules(cell: Cell) -> LoadedModules:
     if routine is not None:
         problem = f"[rapid] modules: {routine.kind} {routine.name} has the name of an instruction or function of RAPID"
         raise CellError(problem, advice="Leave its module out, or give it another name.")
-    return LoadedModules(loaded_modules, _global_data(loaded_modules))
+    return LoadedModules(loaded_modules, _global_data(loaded_modules), documents)
 
 
 class NameClash(NamedTuple):
@@ -74,12 +93,12 @@ class NameClash(NamedTuple):
 def name_clash(modules_of_task: Iterable[Module]) -> NameClash | None:
     """Return the first declaration whose name an earlier module declares too; None if all names differ.
 
-    LOCAL names count too: the data or routine that a name means would depend on the module.
+    LOCAL names of a program with several modules count too: the data or routine that a name means would depend on the
+    module.
     """
     module_of: dict[str, str] = {}
     for module in modules_of_task:
-        items: tuple[Declaration | Routine, ...] = (*module.data, *module.routines)
-        for item in items:
+        for item in _items(module):
             first_module = module_of.setdefault(item.name, module.name)
             if first_module != module.name:
                 return NameClash(item, first_module, module.name)
@@ -95,21 +114,57 @@ def named_like_rapid(modules_of_task: Iterable[Module]) -> Routine | None:
     return next((routine for module in modules_of_task for routine in module.routines if routine.name in names), None)
 
 
-def _modules_of(file: Path) -> tuple[Module, ...]:
+def _items(module: Module) -> tuple[Declaration | Routine, ...]:
+    """Return the data and routines of a module."""
+    return (*module.data, *module.routines)
+
+
+def _names(module: Module) -> set[str]:
+    """Return the names of the data and routines of a module."""
+    return {item.name for item in _items(module)}
+
+
+def _local_names(module: Module) -> set[str]:
+    """Return the names of the LOCAL data and routines of a module."""
+    return {item.name for item in _items(module) if item.is_local}
+
+
+def _parsed(documents: Sequence[Document], hidden_names: Set[str] = frozenset()) -> tuple[Module, ...]:
+    """Return the modules of some files, with other names for what the program does not see.
+
+    :param hidden_names: names of LOCAL data and routines of the program.
+    :raises ProgramError: a file is not valid RAPID.
+    """
+    parsed_modules = tuple(module for document in documents for module in _modules_of(document, {}))
+    # data and routines that are not LOCAL
+    hidden = {
+        name: f"{name} of {module.name}"
+        for module in parsed_modules
+        for name in (_names(module) - _local_names(module)) & hidden_names
+    }
+    local_names = {
+        module.name: {name: f"{name} of {module.name}" for name in _local_names(module)} for module in parsed_modules
+    }
+    if not hidden and not any(local_names.values()):
+        return parsed_modules
+    renamed = {module_name: hidden | names for module_name, names in local_names.items()}
+    return tuple(module for document in documents for module in _modules_of(document, renamed))
+
+
+def _modules_of(document: Document, renamed: Mapping[str, Mapping[str, str]]) -> tuple[Module, ...]:
     """Return the modules of a file.
 
-    :raises CellError: the file cannot be read.
+    :param renamed: see `postproc.dialects.rapid.syntax.Parser`.
     :raises ProgramError: the file is not valid RAPID.
     """
-    document = _document(file)
     try:
-        return modules(document.text)
+        return modules(document.text, renamed)
     except RapidSyntaxError as cause:
         starts, stops = line_spans(document.text)
         row = int((starts <= cause.start).sum()) - 1  # index of the last line that begins at or before the error
         line_text = document.text[starts[row] : stops[row]].strip()
         advice = "Check the file in RobotStudio, or leave it out of [rapid] modules."
-        raise ProgramError(cause.problem, file=file.name, line=row + 1, text=line_text, advice=advice) from None
+        raise ProgramError(cause.problem, file=document.name, line=row + 1, text=line_text, advice=advice) from None
 
 
 def _document(file: Path) -> Document:

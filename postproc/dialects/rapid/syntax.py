@@ -7,7 +7,7 @@ does. A statement that is not understood is an error; nothing is guessed.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from msgspec import Struct
@@ -181,6 +181,7 @@ class Routine(Struct, frozen=True, eq=False):
     handler: tuple[Statement, ...]
     start: int
     stop: int
+    is_local: bool
 
 
 class Module(Struct, frozen=True, eq=False):
@@ -238,8 +239,14 @@ class Parser:
     :ivar depth: number of open expressions and blocks.
     """
 
-    def __init__(self, text: str, start: int = 0) -> None:
+    def __init__(self, text: str, start: int = 0, renamed: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        """Begin at an offset.
+
+        :param renamed: module → name → name that replaces it in this module, all in upper case.
+        """
         self.text, self.previous_stop, self.stop = text, start, start
+        self._renamed_in_modules = renamed or {}
+        self._renamed: Mapping[str, str] = {}  # in the present module
         self.kind, self.word, self.start = "", "", start
         self.comments: list[Comment] = []
         self.depth = 0
@@ -261,8 +268,11 @@ class Parser:
                 trailing = "\n" not in line_start and "\r" not in line_start and self.previous_stop > 0
                 self.comments.append(Comment(match.start(), at, match[0][1:], trailing))
             elif match.lastgroup != "space":
+                is_own_name = self.word not in (".", "\\")  # no component of data, and no option of a routine
                 self.kind, self.start, self.stop = str(match.lastgroup), match.start(), at
                 self.word = match[0].upper() if self.kind == "name" else match[0]
+                if self._renamed and is_own_name and self.kind == "name":
+                    self.word = self._renamed.get(self.word, self.word)
                 return
 
     def fault(self, expectation: str) -> RapidSyntaxError:
@@ -450,7 +460,7 @@ class Parser:
             return self._late_call()
         if self.kind != "name":
             raise self.fault("a statement")
-        if word in ("MOVEL", "MOVEJ") and (match := _MOVE.match(self.text, start)) is not None:
+        if word in ("MOVEL", "MOVEJ") and not self._renamed and (match := _MOVE.match(self.text, start)) is not None:
             return self._plain_move(match)
         if word in ("LOCAL", "TASK", *_DATA_KINDS):
             return self.declaration()
@@ -523,6 +533,7 @@ class Parser:
         self.expect(";")
         # without the name of the module before a colon
         routine_name = str(name.value).rpartition(":")[2].upper() if name.kind == "string" else ""
+        routine_name = self._renamed.get(routine_name, routine_name)
         return Instruction(start, self.previous_stop, f"%{routine_name}", arguments)
 
     def _simple_statement(self, start: int) -> Statement:
@@ -695,6 +706,7 @@ class Parser:
         :raises RapidSyntaxError: it is not valid.
         """
         name = self.identifier()
+        self._renamed = self._renamed_in_modules.get(name, {})
         if self.accept("("):  # attributes such as SYSMODULE, which have no effect on motion
             self._skip_beyond(")")
         data: list[Declaration] = []
@@ -716,6 +728,7 @@ class Parser:
                 self._skip_beyond(";" if keyword == "ALIAS" else "ENDRECORD")
             else:
                 raise self.fault("data or a routine")
+        self._renamed = {}
         self.step()
         self._take_comments()
         return Module(name, tuple(data), tuple(routines))
@@ -726,7 +739,7 @@ class Parser:
         :raises RapidSyntaxError: it is not valid.
         """
         start = self.start
-        self.accept("LOCAL")
+        is_local = self.accept("LOCAL")
         kind = self.word
         self.step()
         if kind == "FUNC":
@@ -745,7 +758,7 @@ class Parser:
                 self.expect(")")
             handler += self.block()
         self.expect(f"END{kind}")
-        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.previous_stop)
+        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.previous_stop, is_local)
 
     def _parameters(self) -> tuple[Parameter, ...]:
         """Parse the parameters of a routine, from behind the opening bracket to behind the closing one.
@@ -768,9 +781,12 @@ class Parser:
         changeable = self.word in ("VAR", "PERS", "INOUT")
         if changeable:
             self.step()
-        if self.accept("SWITCH"):
-            return Parameter(self.identifier(), "SWITCH", changeable=False, optional=optional)
-        type_, name = self.identifier(), self.identifier()
+        type_, spelling = self.identifier(), self.text[self.start : self.stop]
+        name = self.identifier()
+        if optional:  # calls name it too, also those of other modules
+            name = spelling.upper()
+        if type_ == "SWITCH":
+            return Parameter(name, type_, changeable=False, optional=optional)
         if self.accept("{"):  # the dimensions of an array
             self._skip_beyond("}")
         return Parameter(name, type_, changeable, optional)
@@ -786,12 +802,13 @@ class Parser:
                 raise self.fault(end)
 
 
-def modules(text: str) -> tuple[Module, ...]:
+def modules(text: str, renamed: Mapping[str, Mapping[str, str]] | None = None) -> tuple[Module, ...]:
     """Return the modules of a file.
 
+    :param renamed: see `Parser`.
     :raises RapidSyntaxError: the text is not RAPID.
     """
-    return tuple(Parser(text).modules())
+    return tuple(Parser(text, renamed=renamed).modules())
 
 
 def all_statements(statements: tuple[Statement, ...]) -> Iterator[Statement]:
