@@ -550,9 +550,15 @@ main()
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("converting", [False, True], ids=["idle", "converting"])
-@pytest.mark.parametrize("polling", [False, True], ids=["notified", "polling"])
+@pytest.mark.parametrize(
+    ("polling", "converting", "number"),
+    [
+        pytest.param(False, False, signal.SIGINT, id="notified, idle"),
+        pytest.param(False, True, signal.SIGTERM, id="notified, converting"),
+        pytest.param(True, False, signal.SIGTERM, id="polling, idle"),
+        pytest.param(True, True, signal.SIGINT, id="polling, converting"),
+    ],
+)
 def test_a_signal_ends_it_at_once(tmp_path, polling, converting, number):
     (tmp_path / "in").mkdir()
     if converting:

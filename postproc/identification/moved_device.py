@@ -125,9 +125,9 @@ def _basis(columns: Array) -> Array:
 
 def _exceedance_probability(ratio: float, freedom: int) -> float:
     """Return the probability that an F-distributed ratio with 6 and `freedom` degrees of freedom exceeds `ratio`."""
-    from scipy.stats import f  # takes long to import
+    from scipy.special import fdtrc  # takes long to import
 
-    return float(f.sf(ratio, 6, freedom))
+    return float(fdtrc(6, freedom, ratio))
 
 
 def _is_correlated_with_step(q: Array, first: int) -> bool:

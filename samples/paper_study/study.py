@@ -1,6 +1,6 @@
 """Rebuild Tables 1, 2 and 3 of the paper from synthetic raw data.
 
-    python samples/paper_study/study.py [--monte-carlo 500] [--hard 4]
+    python samples/paper_study/study.py [--robot NAME ...] [--monte-carlo 500] [--hard 4]
 
 The raw data come from `simulator.py`, plain numpy that shares no code with the identification; the
 identification reads them from files, as a user's. Seeds are fixed: the numbers in README.md are what this prints.
@@ -279,12 +279,14 @@ def hard_robots(count: int) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    truths = robots()
+    parser.add_argument("--robot", action="append", choices=truths, help="robot of Tables 2 and 3; all by default")
     parser.add_argument("--monte-carlo", type=int, default=0, metavar="N", help="runs for the coverage of intervals")
     parser.add_argument("--hard", type=int, default=0, metavar="N", help="seeds for each kind of hard robot")
     options = parser.parse_args()
     table_1()
-    for label, true in robots().items():
-        tables_2_and_3(label, true)
+    for label in options.robot or truths:
+        tables_2_and_3(label, truths[label])
     if options.monte_carlo:
         coverage(options.monte_carlo)
     if options.hard:

@@ -202,18 +202,26 @@ def random_lines(seed):
     return (*before, *looped, "LIN Q[1] C_DIS")
 
 
-CASES += [(random_lines(seed), data(POINTS[0]), KEEPING if seed % 3 == 0 else CELL) for seed in range(40)]
+def random_case(seed):
+    """Return lines, points and cell of a random program."""
+    return random_lines(seed), data(POINTS[0]), KEEPING if seed % 3 == 0 else CELL
 
 
-@pytest.mark.parametrize(("lines", "points", "cell"), CASES)
-def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell, monkeypatch):
+CASES += [random_case(seed) for seed in range(40)]
+
+
+ONE_BY_ONE = ((main_routine, "motions_and_settings_of"), (flow, "plain_body"))
+"""What takes rounds at once: it gives up, or no body is plain. They take turns: each body meets both."""
+
+
+@pytest.mark.parametrize(
+    ("lines", "points", "cell", "place", "name"),
+    [(*case, *ONE_BY_ONE[number % 2]) for number, case in enumerate(CASES)],
+)
+def test_rounds_taken_at_once_mean_what_they_mean_one_by_one(lines, points, cell, place, name, monkeypatch):
     at_once = outcome(lines, points, cell)
-    with monkeypatch.context() as patched:
-        patched.setattr(main_routine, "motions_and_settings_of", lambda *_: None)
-        assert at_once == outcome(lines, points, cell), lines
-    with monkeypatch.context() as patched:
-        patched.setattr(flow, "plain_body", lambda *_: None)
-        assert at_once == outcome(lines, points, cell), lines
+    monkeypatch.setattr(place, name, lambda *_: None)
+    assert at_once == outcome(lines, points, cell), lines
 
 
 def test_points_of_a_loop_are_corrected_where_they_are():

@@ -147,6 +147,8 @@ def test_sources_of_torque_at_rest_are_uncertain_masses_and_the_compensator():
         f"A{n}" for n in range(2, 7) if harness.PRIOR.prior_sigma(robot.LinkMass(f"A{n}")) <= 0.0
     }
     assert robot.CompensatorSize() not in list(choice._gravity_parameters(BARE))
+    stated = replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0)
+    assert list(choice._gravity_parameters(stated)) == []
 
 
 @pytest.mark.parametrize(("angles", "enough"), [([-50.0, -60.0, -60.5], False), ([-50.0, -60.0, -70.0], True)])

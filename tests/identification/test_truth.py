@@ -67,13 +67,9 @@ def test_what_springs_alone_do_not_know_is_found_or_stands_in_the_bound(tmp_path
 def test_masses_and_compensator_that_gears_feel_at_rest_are_looked_for(tmp_path):
     """Masses off by up to 20 %, K_c by 10 %: looked for, held at what the model states, and in the model folder.
 
-    Where the masses are held at wrong values, a compliance that changes over the pose takes their place.
+    No compliance that changes over the pose takes their place.
     """
     true, done, model = identified(tmp_path, "masses off by 20 %, K_c by 10 %", seed=0)
-    data = harness.load(tmp_path)
-    stated_masses = identify(replace(harness.PRIOR, mass_spread=0.0, compensator_spread=0.0), data)
-    assert not any(parameter.name == "A2.mass" for parameter in stated_masses.fit.structure.parameters)
-    assert any(isinstance(parameter, robot.PoseWave) for parameter in stated_masses.fit.structure.parameters)
     assert not any(isinstance(parameter, robot.PoseWave) for parameter, _ in model.terms)
     factor, inside, _ = job_error(true, model)
     assert factor > 80.0

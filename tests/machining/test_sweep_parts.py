@@ -597,13 +597,13 @@ def test_what_a_leaning_tool_enters_next_is_its_front(shape, lean, heading):
 @pytest.mark.parametrize("shape", CUTTERS)
 @pytest.mark.parametrize("lean", [2.0, 15.0, 30.0])
 def test_between_two_poses_the_lower_side_is_a_parabola_or_two_planes(shape, lean):
-    """In moves of a millimetre, by a search over 1001 poses: two planes are exact, a parabola to the fourth order."""
+    """In moves of a millimetre, by a search over 201 poses: two planes are exact, a parabola to the fourth order."""
     cutter, rng = CUTTERS[shape], np.random.default_rng(int(lean))
     axis, shift = direction(lean, 60.0), np.array([8e-4, 5e-4, 1e-4])
     tips, axes = np.array([[0.0, 0.0, 0.0], shift]), np.array([axis, axis])
     x, y = rng.uniform(-5e-3, 6e-3, (2, 1, 1, 300))
     level, _, _ = tilted._lowest_levels(cutter, tips, axes, np.array([0]), x, y)
-    part = np.linspace(0.0, 1.0, 1001)[:, None]
+    part = np.linspace(0.0, 1.0, 201)[:, None]
     still = np.zeros((1, 3))
     low, _, _ = tilted._lower_and_upper_sides(
         cutter, axis[None], x - part * shift[0], y - part * shift[1], still, still

@@ -25,6 +25,13 @@ from tests.oracle.arm import Arm
 from tests.placement.setting import TWO_POCKETS, around, cell, process_text, read_with_robot
 
 POCKETS = TWO_POCKETS.format(1300, 1500)
+POCKET_BASE = (0.0, 0.0, 500.0)
+
+
+@pytest.fixture(scope="module")
+def turned_pockets():
+    """Both pockets, each at its best turn, without bodies."""
+    return process_text(POCKETS, cell(base=POCKET_BASE, redundancy="best"))
 
 
 @pytest.mark.parametrize("axes", [None, ["C", "B"]])
@@ -116,8 +123,8 @@ def expected_rms(result, lines):
     return float(np.sqrt(np.average(result.bound[chosen] ** 2, weights=result.cut_length[chosen])))
 
 
-def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_turns():
-    own = cell(base=(0.0, 0.0, 500.0))
+def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_turns(turned_pockets):
+    own = cell(base=POCKET_BASE)
     first, second = range(4, 8), range(10, 13)
     found = {
         turn: result
@@ -126,7 +133,7 @@ def test_the_best_turn_of_each_operation_is_within_two_percent_of_all_constant_t
             result := process_text(POCKETS, replace(own, gcode=replace(own.gcode, redundancy_deg=float(turn))))
         ).failed
     }
-    best = process_text(POCKETS, replace(own, gcode=replace(own.gcode, redundancy="best")))
+    best = turned_pockets
     assert not best.failed, best.issues
     assert len(found) >= 3
     for lines in (first, second):
@@ -200,13 +207,12 @@ def test_without_bodies_the_choice_says_that_no_collisions_are_checked():
 
 
 @pytest.mark.parametrize("mode", ["best", "path"])
-def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode):
+def test_a_turn_that_comes_too_close_to_a_wall_is_not_chosen(mode, turned_pockets):
     """The turn that is best without the wall is an error with it; the chosen one passes the check of the path."""
-    own = cell(base=(0.0, 0.0, 500.0), redundancy=mode)
-    free = process_text(POCKETS, own)
+    own = cell(base=POCKET_BASE, redundancy=mode)
     wall = with_bodies(own, ((1600, 1650), (-200, 0), (150, 400)))
     if mode == "best":
-        same = float(np.degrees(free.turn.of_motion[3]))
+        same = float(np.degrees(turned_pockets.turn.of_motion[3]))
         stated = process_text(
             POCKETS, replace(wall, gcode=replace(own.gcode, redundancy="constant", redundancy_deg=same))
         )
@@ -265,9 +271,9 @@ def test_the_turn_of_the_cell_stays_where_no_other_saves_two_percent():
         assert process_text(text, stated).turn.range_deg() == pytest.approx((best + off * stays,) * 2, abs=1e-6)
 
 
-def test_the_turn_of_the_cell_does_not_stay_where_it_comes_too_close_to_a_wall():
-    wall = with_bodies(cell(base=(0.0, 0.0, 500.0), redundancy="best"), ((1600, 1650), (-200, 0), (150, 400)))
-    free = float(np.degrees(process_text(POCKETS, replace(wall, collision=None)).turn.of_motion[3]))
+def test_the_turn_of_the_cell_does_not_stay_where_it_comes_too_close_to_a_wall(turned_pockets):
+    wall = with_bodies(cell(base=POCKET_BASE, redundancy="best"), ((1600, 1650), (-200, 0), (150, 400)))
+    free = float(np.degrees(turned_pockets.turn.of_motion[3]))
     found = process_text(POCKETS, replace(wall, gcode=replace(wall.gcode, redundancy_deg=free)))
     assert not found.failed, found.issues
     assert found.turn.of_motion[3] != 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import itertools
 import re
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,11 +63,16 @@ def changed(text, change):
     return "\n".join(",".join(row) for row in [*out, []])
 
 
+@cache
+def job():
+    """Return joint angles, forces and true deflections on other jobs."""
+    q, force = trial.jobs(np.random.default_rng(8), 25)
+    return q, force, trial.deflections(trial.truth(np.random.default_rng(SEED)), q, SCALE * force)
+
+
 def job_errors(part, found):
     """Return errors and bounds [m] on other jobs, under the forces as found."""
-    arm = trial.truth(np.random.default_rng(SEED))
-    q, force = trial.jobs(np.random.default_rng(8), 25)
-    true = trial.deflections(arm, q, SCALE * force)
+    q, force, true = job()
     error = np.linalg.norm(trial.predicted(found.robot, q, found.scale * force) - true, axis=1)
     model, law = trial.model(found, part.process, part.folder)
     return error, trial.bound(model, law, q, found.scale * force)
