@@ -58,6 +58,7 @@ def result(count: int = 100, mode: Mode = "convert") -> Result:
         robot=_robot(),
         axis="+Z",
         mode=mode,
+        written_dialect="krl",
         documents=() if mode == "predict" else (Document("part.src", "DEF part()\nEND\n"),),
         motion=np.arange(count),
         t=np.ones(count),

@@ -129,6 +129,17 @@ def test_the_program_of_another_language_does_not_stay_beside_the_report_of_the_
     assert "part.mod" in names()
 
 
+def test_a_program_of_a_stated_dialect_may_have_any_extension(monkeypatch):
+    """Its word for approximation is that of its dialect."""
+    result = fabricated.with_changes(fabricated.result(), documents=(Document("part.txt", "DEF part()\nEND\n"),))
+    monkeypatch.setattr("postproc.correction.process", lambda *_, **__: result)
+    Path("part.nc").rename("part.txt")
+    done = invoke("convert", "part.txt", "--dialect", "krl", "-o", "out", cell=CELL_FILE)
+    assert done.exit_code == 0, done.output
+    assert names() == PART - {"part.src"} | {"part.txt"}
+    assert json.loads(Path("out/part.report.json").read_text())["blending"]["by"] == "C_DIS"
+
+
 @pytest.mark.parametrize("text", ["odd", "far"])
 def test_where_nothing_comes_of_a_program_the_earlier_one_does_not_look_current(text):
     convert()

@@ -164,7 +164,7 @@ class Task(Struct, frozen=True, eq=False):
     """Settings for processing a program, see `process`.
 
     :param robot: the robot model, `mode` and `linearize_arcs` as given to `process`.
-    :param writer: writer of the dialect of the written program.
+    :param written_dialect: name of the dialect of the written program.
     :param in_file: True if its forces are read from and written to a file, False for comments.
     :param initial_issues: issues found before anything is computed.
     :param turn: the turn of the tool about its axis, if it was chosen.
@@ -173,10 +173,15 @@ class Task(Struct, frozen=True, eq=False):
     robot: RobotModel
     mode: Mode
     linearize_arcs: bool
-    writer: Writer
+    written_dialect: str
     in_file: bool
     initial_issues: tuple[Issue, ...]
     turn: Turn | None = None
+
+    @property
+    def writer(self) -> Writer:
+        """Writer of the dialect of the written program."""
+        return registry.written_in(self.written_dialect)[1]
 
 
 class Draft(Struct, frozen=True, eq=False):
@@ -297,6 +302,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
         robot=task.robot,
         axis=path.robot_in_cell.spindle,
         mode=task.mode,
+        written_dialect=task.written_dialect,
         issues=group_issues([*draft.issues, *expectation.issues, *_frame_questions(task, draft, uncorrected)]),
         motion=targets.motion,
         t=targets.t,
@@ -678,14 +684,14 @@ def process(
     :raises InputError: the program would be in a language that the robot's controller does not read.
     :raises ForceError: forces that cannot be given to the motions.
     """
-    language, writer = registry.written_in(program.dialect, to)
+    written_dialect, _ = registry.written_in(program.dialect, to)
     if mode != "predict":
-        _check_language(program.documents[0].name, robot, language)
+        _check_language(program.documents[0].name, robot, written_dialect)
     task = Task(
         robot=robot,
         mode=mode,
         linearize_arcs=linearize_arcs,
-        writer=writer,
+        written_dialect=written_dialect,
         in_file=source is not None,
         initial_issues=_initial_issues(program, robot, cell, mode),
     )
@@ -703,7 +709,7 @@ def process(
             return _result_under_load(replace(task, initial_issues=(*task.initial_issues, *questions)), motions)
         except ImpossiblePathError as cause:
             errors = [cause.issue]
-    return Result(program, robot, cell.tool.axis, mode, group_issues([*program.issues, *errors]))
+    return Result(program, robot, cell.tool.axis, mode, written_dialect, group_issues([*program.issues, *errors]))
 
 
 def _initial_issues(program: Program, robot: RobotModel, cell: Cell, mode: Mode) -> tuple[Issue, ...]:

@@ -89,6 +89,8 @@ class Result(Struct, frozen=True, eq=False):
     :param robot: the robot model.
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
     :param mode: corrected ("convert"), written without correction ("nominal"), or predicted only ("predict").
+    :param written_dialect: name of the dialect of the written program; of a prediction, that in which `process` would
+        write it.
     :param issues: errors, warnings and information for the user, grouped.
     :param documents: files to write, the main one first; empty if there is an error, or nothing to write.
     :param motion: (K,) row of `program.motions`.
@@ -131,6 +133,7 @@ class Result(Struct, frozen=True, eq=False):
     robot: RobotModel
     axis: str
     mode: Mode
+    written_dialect: str
     issues: tuple[Issue, ...]
     documents: tuple[Document, ...] = ()
     motion: Ints = np.zeros(0, dtype=np.int64)

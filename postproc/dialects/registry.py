@@ -45,8 +45,8 @@ _NO_PROGRAMS = {
     ".h": "conversational code of a Heidenhain control. Have the CAM system post-process the part as plain G-code.",
     ".spf": "a subprogram of a Siemens Sinumerik control. Have the CAM system post-process the part as plain G-code, "
     "for Fanuc or LinuxCNC, or add --dialect gcode if it is plain G-code.",
-    ".prg": "a program of a control that its extension does not name: several use .prg. If it is G-code, add --dialect "
-    "gcode.",
+    ".prg": "a program of a control that its extension does not name: several use .prg. Add --dialect gcode if "
+    "it is G-code, --dialect rapid if it is a module of ABB.",
     ".ls": "a FANUC program. Have the CAM system post-process the part as plain G-code.",
 }
 """Extensions of files that are no programs to read: what they are, and what to do."""

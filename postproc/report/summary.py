@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -329,9 +328,7 @@ def _blending_entry(result: Result) -> Blending:
     """
     cuts = np.flatnonzero(_is_next_to_cut(result))
     worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
-    file_name = result.documents[0].name if result.documents else None
-    dialect = result.program.dialect if file_name is None else registry.dialect_of_file(Path(file_name)).name
-    _, writer = registry.written_in(dialect)
+    _, writer = registry.written_in(result.written_dialect)
     if worst is None or not result.rounding[worst] > 0.0:  # not >: unknown (NaN) too
         return Blending(by=writer.approximation, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
     return Blending(

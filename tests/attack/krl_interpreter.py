@@ -841,18 +841,24 @@ class Controller:
             self.base, self.tool = self.initial_frames()
             self.modes |= {"$ORI_TYPE": "#VAR", "$CIRC_TYPE": "#BASE", "$IPO_MODE": "#BASE"}
         elif command == "#VEL_CP":
-            self.speed = float(value)
+            self.speed = min(float(value), 2.0)
         elif command in ("#VEL_PTP", "#ACC_CP", "#ACC_PTP"):
             return
-        elif command in ("#CP_DAT", "#CP_PARAMS", "#FRAMES", "#PTP_PARAMS"):
+        elif command in ("#CP_DAT", "#CP_PARAMS", "#FRAMES", "#PTP_DAT", "#PTP_PARAMS"):
             if command in ("#CP_DAT", "#CP_PARAMS"):
-                self.cdis = float(self.shared["LDAT_ACT"].value.get("APO_DIST", self.cdis))
-            if command != "#CP_DAT":
+                data = self.shared["LDAT_ACT"].value
+                self.speed = min(float(data.get("VEL", self.speed)), 2.0)
+                self.cdis = float(data.get("APO_DIST", self.cdis))
+                self.modes |= {"$ORI_TYPE": data.get("ORI_TYP", "#VAR"), "$CIRC_TYPE": data.get("CIRC_TYP", "#BASE")}
+            data = self.shared["PDAT_ACT"].value
+            if command in ("#PTP_DAT", "#PTP_PARAMS") and data and data.get("APO_MODE") == "#CDIS":
+                self.cdis = float(data["APO_DIST"])
+            if command not in ("#CP_DAT", "#PTP_DAT"):
                 data = self.shared["FDAT_ACT"].value
                 self.base, self.tool = (self.numbered(name, data.get(f"{name}_NO")) for name in ("BASE", "TOOL"))
                 self.modes["$IPO_MODE"] = data.get("IPO_FRAME", self.modes["$IPO_MODE"])
             if command == "#CP_PARAMS":
-                self.speed = float(value)
+                self.speed = min(float(value), 2.0)
         elif command in ("#BASE", "#TOOL"):
             setattr(self, command[1:].lower(), self.numbered(command[1:], value))
         else:

@@ -44,8 +44,8 @@ SA[2]={N 2,R 2.5,B FALSE}
 SA[3]={N 3,R 3.5,B TRUE}
 DECL FDAT FA={TOOL_NO 2,BASE_NO 3,IPO_FRAME #BASE,POINT2[] " "}
 DECL FDAT FB={TOOL_NO 1,BASE_NO 2,IPO_FRAME #BASE}
-DECL LDAT LA={VEL 2.0,ACC 100.0,APO_DIST 7.5,APO_FAC 50.0,ORI_TYP #VAR}
-DECL LDAT LB={VEL 2.0,ACC 100.0,APO_DIST 0.5}
+DECL LDAT LA={VEL 0.7,ACC 100.0,APO_DIST 7.5,APO_FAC 50.0,ORI_TYP #VAR}
+DECL LDAT LB={VEL 3.0,ACC 100.0,APO_DIST 0.5}
 DECL E6AXIS XHOME={A1 0,A2 -80,A3 95,A4 0,A5 45,A6 0}
 DECL CONST INT NC=2
 DECL INT I=1
@@ -811,6 +811,7 @@ class Snippets(Generator):
             [f"FDAT_ACT={frames}", f"LDAT_ACT={data}", f"BAS(#CP_PARAMS,{real})"],
             [f"FDAT_ACT={frames}", f"LDAT_ACT={data}", f"BAS(#CP_PARAMS,{self.literal('REAL')})"],
             ["LDAT_ACT=LB", "BAS(#CP_DAT)"],
+            [f"PDAT_ACT={{VEL 100.0,ACC 100.0,APO_DIST 6.0,APO_MODE {self.one('#CDIS', '#CPTP')}}}", "BAS(#PTP_DAT)"],
             [f"FDAT_ACT={{TOOL_NO {number},BASE_NO 2,IPO_FRAME #BASE}}", "BAS(#FRAMES)"],
             [f"{frames}.BASE_NO={number}", f"FDAT_ACT={frames}", "BAS(#FRAMES)"],
             [f"BAS(#TOOL,{self.one('1', '2', 'J')})", f"BAS(#BASE,{number})"],

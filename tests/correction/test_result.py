@@ -19,7 +19,7 @@ from tests.oracle.whole_arm import WholeArm
 from tests.programs import program
 
 MADE = program([("PTP", 0, 0, 50), ("LIN", 0, 0, 0), ("RAPID", 100, 0, 0), ("LIN", 100, 50, 0)])
-EMPTY = Result(MADE, ROBOT, "+Z", "convert", ())
+EMPTY = Result(MADE, ROBOT, "+Z", "convert", "krl", ())
 
 
 def test_statistics_weigh_cutting_targets_by_their_length():

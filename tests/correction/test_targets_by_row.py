@@ -229,7 +229,8 @@ def result_of(mode, bound=True, errors=0):
     issues = tuple(Issue("error", f"kind-{k}", "wrong") for k in range(errors))
     deviation = np.array([[9.0, 0, 0], [3.0, 4.0, 0], [0, 0, 1.0]]) * 1e-4
     return Result(
-        program=made, robot=ROBOT, axis="+Z", mode=mode, issues=(*issues, Issue("info", "x", "y")),
+        program=made, robot=ROBOT, axis="+Z", mode=mode, written_dialect="krl",
+        issues=(*issues, Issue("info", "x", "y")),
         motion=np.arange(3), t=np.ones(3), cut_length=np.array([0.0, 0.01, 0.03]),
         deviation_before=deviation, deviation_after=0.01 * deviation,
         bound=np.array([9e-4, 2e-4, 3e-4]) if bound else None,

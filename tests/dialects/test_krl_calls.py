@@ -514,10 +514,22 @@ def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_c
         (["$VEL.CP=SPD", "LIN XP1", "SPD=0.25"], "SPD", 5),
         (["$BASE=BASE_DATA[3]", "LIN XP1", "BASE_DATA[3].Z=BASE_DATA[3].Z+5"], "BASE_DATA", 5),
         (["$TOOL=TOOL_DATA[2]", "LIN XP1", "TOOL_DATA[2].Z=1"], "TOOL_DATA", 5),
+        # BAS and functions of inline forms read data that they do not name
+        (["BAS(#BASE,3)", "LIN XP1", "BASE_DATA[3].Z=BASE_DATA[3].Z+5"], "BASE_DATA", 5),
+        (["BAS(#TOOL,2)", "LIN XP1", "TOOL_DATA[2].Z=1"], "TOOL_DATA", 5),
+        (
+            ["FDAT_ACT={TOOL_NO 2,BASE_NO 3}", "BAS(#FRAMES)", "LIN XP1", "BASE_DATA[3].Z=1"],
+            "BASE_DATA",
+            6,
+        ),
+        (["SLIN XP1 WITH $BASE=SBASE(3)", "BASE_DATA[3].Z=1"], "BASE_DATA", 4),
+        (["SLIN XP1 WITH $TOOL=STOOL2({TOOL_NO 2,BASE_NO 3})", "TOOL_DATA[2].Z=1"], "TOOL_DATA", 4),
+        (["TABLE()", "LIN XP1", "BASE_DATA[3].Z=BASE_DATA[3].Z+5"], "BASE_DATA", 5),
     ],
 )
 def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names, line):
-    assert about(read_lines(*lines, subs=SHIFT), "changed-data") == [(names, line)]
+    subs = SHIFT + "DEF TABLE()\nBAS(#BASE,3)\nEND\n"
+    assert about(read_lines(*lines, subs=subs), "changed-data") == [(names, line)]
 
 
 @pytest.mark.parametrize(
@@ -532,6 +544,12 @@ def test_a_program_whose_next_run_begins_with_other_values_is_told(lines, names,
 )
 def test_changed_values_that_do_not_change_the_next_run_are_not_told(lines):
     assert about(read_lines(*lines), "changed-data") == []
+
+
+def test_the_place_of_an_external_axis_in_a_subprogram_is_told_at_its_line():
+    subs = "DEF AT_E1()\nPTP {X 1,Y 2,Z 3,A 0,B 0,C 0,S 2,T 2,E1 88.2}\nEND\n"
+    lines = ["I=1", "LIN XP1", "AT_E1()", "AT_E1()"]  # the trace has five rows before the PTP, which is in line 10
+    assert about(read_lines(*lines, subs=subs), "external-axis") == [("E1", 10)]
 
 
 SHOW_PART = "DEF SHOWPART(N:IN)\nINT N\n$OUT[N]=TRUE\nEND\n"

@@ -595,6 +595,15 @@ def test_initialising_after_frames_were_set_leaves_them_unknown():
         (["REAL V", "V=0.02", "$VEL.CP=V"], 0.02, 3),
         (["LDAT_ACT={VEL 2.0,ACC 100,APO_DIST 7.5,APO_FAC 50,ORI_TYP #VAR}", "BAS(#CP_DAT)", "BAS(#VEL_CP,1)"], 1, 7.5),
         (["$VEL.CP=0.1", "BAS(#INITMOV,0)"], 2, 3),
+        # BAS.SRC: CASE #CP_DAT calls VEL_CP(LDAT_ACT.VEL), which keeps to DEF_VEL_CP, and CP_DAT
+        (["$VEL.CP=0.1", "LDAT_ACT={VEL 0.02,ACC 100,APO_DIST 2}", "BAS(#CP_DAT)"], 0.02, 2),
+        (["$VEL.CP=0.1", "LDAT_ACT={VEL 0.02,APO_DIST 2}", "LDAT_ACT.VEL=0.05", "BAS(#CP_DAT)"], 0.05, 2),
+        (["LDAT_ACT={VEL 3.0,APO_DIST 2}", "BAS(#CP_DAT)"], 2, 2),
+        (["BAS(#VEL_CP,3.0)"], 2, 3),
+        (["$VEL.CP=0.1", "LDAT_ACT={ACC 100}", "BAS(#CP_DAT)"], 0.1, 3),
+        (["$VEL.CP=0.1", "PDAT_ACT={VEL 50,APO_DIST 9,APO_MODE #CDIS}", "BAS(#PTP_DAT)"], 0.1, 9),
+        (["$VEL.CP=0.1", "PDAT_ACT={VEL 50,APO_DIST 9,APO_MODE #CPTP}", "BAS(#PTP_DAT)"], 0.1, 3),
+        (["$VEL.CP=0.1", "PDAT_ACT=PDEFAULT", "BAS(#PTP_DAT)"], 0.1, 3),
     ],
 )
 def test_speed_and_approximation_in_force(lines, feed, cdis):
@@ -958,8 +967,9 @@ ERRORS = [
     ([FULL, "$CIRC_TYPE=SCIRC_TYP(L1)", "CIRC {X 0,Y 0,Z 0},{X 1,Y 5,Z 9}"], 5, "CIRC_TYPE is not known: L1 has no"),
     ([FULL, "SLIN {X 1} WITH $IPO_MODE=SIPO_MODE(FP1.IPO_FRAME)"], 5, "IPO_MODE is not known: FP1.IPO_FRAME has no"),
     ([FULL, "$IPO_MODE=#TOOL", "LIN {X 1}"], 5, "IPO_MODE is not known: there is no #TOOL"),
-    ([FULL, "LDAT_ACT=LCPDAT1", "BAS(#CP_DAT)", "LIN {X 1}"], 6, "ORI_TYPE is not known: .*LCPDAT1 has no value"),
-    ([FULL, "BAS(#CP_DAT)", "LIN {X 1}"], 5, "ORI_TYPE is not known: LDAT_ACT.ORI_TYP has no value"),
+    ([FULL, "LDAT_ACT=LCPDAT1", "BAS(#CP_DAT)", "LIN {X 1}"], 6, "VEL.CP is not known .*LCPDAT1 has no value"),
+    ([FULL, "BAS(#CP_DAT)", "LIN {X 1}"], 5, "VEL.CP is not known .*LDAT_ACT.VEL has no value"),
+    ([FULL, "BAS(#CP_DAT)", "$VEL.CP=0.1", "LIN {X 1}"], 5, "ORI_TYPE is not known: LDAT_ACT.ORI_TYP has no value"),
     ([FULL, "LDAT_ACT={ORI_TYP MODE}", "BAS(#CP_DAT)", "LIN {X 1}"], 6, "ORI_TYPE is not known: "),
     ([FULL, "LDAT_ACT={APO_DIST FAR}", "BAS(#CP_DAT)", "LIN {X 1} C_DIS"], 6, "CDIS is not known"),
     ([FULL, "FDAT_ACT={TOOL_NO 2,BASE_NO 3,IPO_FRAME MODE}", "BAS(#FRAMES)", "LIN {X 1}"], 6, "IPO_MODE is not known"),

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Place, Source
-from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference
+from postproc.dialects.krl.language.tree import CallStatement
+from postproc.dialects.krl.language.values import Aggregate, Call, Number, Reference, Value, Word
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import VariableValue
-from postproc.dialects.krl.read.path_settings import PathSettings
-from postproc.dialects.krl.read.state import FIELDS, State
+from postproc.dialects.krl.read.path_settings import MODES, PathSettings
+from postproc.dialects.krl.read.state import DEFAULT_SPEED, FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
 
 _SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "wrist_mode"}
@@ -22,24 +26,49 @@ BAS_SETS = {
     "#VEL_CP": ("$VEL",),
     "#BASE": ("$BASE",),
     "#TOOL": ("$TOOL",),
-    "#CP_DAT": ("$APO", "$ORI_TYPE", "$CIRC_TYPE"),
+    "#CP_DAT": ("$VEL", "$APO", "$ORI_TYPE", "$CIRC_TYPE"),
     "#FRAMES": ("$BASE", "$TOOL"),
-    "#PTP_PARAMS": ("$BASE", "$TOOL"),
+    "#PTP_DAT": ("$APO",),
+    "#PTP_PARAMS": ("$APO", "$BASE", "$TOOL"),
     "#CP_PARAMS": _MOTION_VARIABLES,
 }
 """Which variables a command of BAS sets."""
-_HARMLESS_COMMANDS = frozenset(
-    {"ACC_CP", "ACC_PTP", "VEL_PTP", "PTP_DAT", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"}
-)
+_FRAME_DATA = ("FDAT_ACT", "BASE_DATA", "TOOL_DATA")
+_BAS_READS = {
+    "#INITMOV": ("TOOL_DATA",),
+    "#BASE": ("BASE_DATA",),
+    "#TOOL": ("TOOL_DATA",),
+    "#CP_DAT": ("LDAT_ACT",),
+    "#FRAMES": _FRAME_DATA,
+    "#PTP_DAT": ("PDAT_ACT",),
+    "#PTP_PARAMS": ("PDAT_ACT", *_FRAME_DATA),
+    "#CP_PARAMS": ("LDAT_ACT", *_FRAME_DATA),
+}
+"""Which data of the controller a command of BAS reads."""
+_FUNCTION_READS = {"SBASE": "BASE_DATA", "STOOL": "TOOL_DATA", "STOOL2": "TOOL_DATA"}
+"""Which data of the controller a function of inline forms reads."""
+_HARMLESS_COMMANDS = frozenset({"ACC_CP", "ACC_PTP", "VEL_PTP", "OUT_SYNC", "OUT_ASYNC", "GROUP", "ACC_GLUE"})
 """Commands that change no field of the `State`."""
 _COMMAND_LIST = (
-    "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
+    "#INITMOV, #BASE, #TOOL, #FRAMES, #VEL_CP, #CP_DAT, #CP_PARAMS, #PTP_DAT, #PTP_PARAMS, #VEL_PTP, #ACC_CP, #ACC_PTP"
 )
 
 
 def command_of(source: Source, call: Call) -> str:
     """Return the command of a call of BAS with its ``#``, upper case; empty without arguments."""
     return source.text[call.arguments[0].start : call.arguments[0].stop].strip().upper() if call.arguments else ""
+
+
+def data_read(source: Source, line: int, words: Collection[str]) -> list[str]:
+    """Return the data of the controller that BAS and the functions of inline forms read on a line without naming them.
+
+    :param words: words in the code of the line, upper case.
+    """
+    names = [_FUNCTION_READS[word] for word in words if word in _FUNCTION_READS]
+    stmt = statement(source, line) if "BAS" in words else None
+    if isinstance(stmt, CallStatement) and stmt.word == "BAS":
+        names += _BAS_READS.get(command_of(source, stmt.call), ())
+    return names
 
 
 class Bas:
@@ -64,20 +93,23 @@ class Bas:
         if command == "#INITMOV":
             return self._state_after_initmov(state, place)
         if command == "#VEL_CP" and argument is not None:
-            return self.path.state_with_speed(state, place, "CP", argument)
+            return self._state_with_speed(state, place, argument)
         if command in ("#BASE", "#TOOL"):
             number = self.variables.number(argument) if argument is not None else None
             if number is None:
                 return self.frames.state_with_unknown_frame(state, f"${command[1:]}", place, "its number is not known")
             return self.frames.state_with_numbered_frame(state, place, f"${command[1:]}", int(number))
         if command == "#CP_DAT":
-            return self._state_after_cp_dat(state, place)
-        if command in ("#FRAMES", "#PTP_PARAMS"):
+            return self._state_after_cp_dat(self._state_with_speed_of_data(state, place), place)
+        if command == "#PTP_DAT":
+            return self._state_after_ptp_dat(state, place)
+        if command == "#FRAMES":
             return self._state_after_frames(state, place)
+        if command == "#PTP_PARAMS":
+            return self._state_after_frames(self._state_after_ptp_dat(state, place), place)
         if command == "#CP_PARAMS" and argument is not None:
-            return self.path.state_with_speed(
-                self._state_after_frames(self._state_after_cp_dat(state, place), place), place, "CP", argument
-            )
+            state = self._state_after_frames(self._state_after_cp_dat(state, place), place)
+            return self._state_with_speed(state, place, argument)
         if command[1:] in _HARMLESS_COMMANDS:
             return state
         raise place.error(f"BAS({command}) is not understood", f"Understood are {_COMMAND_LIST}.")
@@ -124,20 +156,43 @@ class Bas:
         start, _ = place.source.code_span(place.line)
         return Reference(name, None, field, start, start)  # no text, but the line of the call for messages
 
-    def _state_after_cp_dat(self, state: State, place: Place) -> State:
-        """Return the state after BAS(#CP_DAT): LDAT_ACT gives `$APO.CDIS`, `$ORI_TYPE` and `$CIRC_TYPE`.
+    def _state_with_speed(self, state: State, place: Place, speed: Value) -> State:
+        """Return the state after VEL_CP of BAS: `$VEL.CP`, at most DEF_VEL_CP."""
+        state = self.path.state_with_speed(state, place, "CP", speed)
+        return replace(state, speed=min(state.speed, DEFAULT_SPEED))
 
-        A setting whose field LDAT_ACT lacks stays. If LDAT_ACT itself is not known, none of the three is known.
+    def _state_with_speed_of_data(self, state: State, place: Place) -> State:
+        """Return the state with the speed of LDAT_ACT. It stays if LDAT_ACT lacks it."""
+        data = self._structure_value("LDAT_ACT", place)
+        if isinstance(data, Aggregate) and "VEL" not in data.items:
+            return state
+        return self._state_with_speed(state, place, self._reference("LDAT_ACT", "VEL", place))
+
+    def _state_after_cp_dat(self, state: State, place: Place) -> State:
+        """Return the state after CP_DAT of BAS: LDAT_ACT gives `$APO.CDIS`, `$ORI_TYPE` and `$CIRC_TYPE`.
+
+        The distance stays if LDAT_ACT lacks it; a mode gets its first value. If LDAT_ACT itself is not known, none of
+        the three is known.
         """
         data = self._structure_value("LDAT_ACT", place)  # a reference to a field of an unknown structure is unknown too
-        for name, field in (("$APO", "APO_DIST"), ("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
-            value = self._reference("LDAT_ACT", field, place)
-            if isinstance(data, Aggregate) and field not in data.items:
-                continue
-            if name == "$APO":
-                state = self.path.state_with_distance(state, place, "CDIS", value)
+        lacking = {"APO_DIST", "ORI_TYP", "CIRC_TYP"} - set(data.items) if isinstance(data, Aggregate) else set()
+        if "APO_DIST" not in lacking:
+            state = self.path.state_with_distance(state, place, "CDIS", self._reference("LDAT_ACT", "APO_DIST", place))
+        for name, field in (("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
+            if field in lacking:
+                state = state.with_values(**{FIELDS[name]: MODES[name][0]})
             else:
-                state = self.path.state_with_mode(state, place, name, value)
+                state = self.path.state_with_mode(state, place, name, self._reference("LDAT_ACT", field, place))
+        return state
+
+    def _state_after_ptp_dat(self, state: State, place: Place) -> State:
+        """Return the state after PTP_DAT of BAS: PDAT_ACT gives `$APO.CDIS` if its APO_MODE is #CDIS.
+
+        Otherwise it gives `$APO.CPTP`, which is not followed; so it is assumed if PDAT_ACT is not known.
+        """
+        mode = self.variables.evaluate(self._reference("PDAT_ACT", "APO_MODE", place))
+        if isinstance(mode, Word) and mode.text == "#CDIS":
+            return self.path.state_with_distance(state, place, "CDIS", self._reference("PDAT_ACT", "APO_DIST", place))
         return state
 
     def _state_after_frames(self, state: State, place: Place) -> State:

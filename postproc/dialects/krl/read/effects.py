@@ -34,7 +34,7 @@ from postproc.dialects.krl.language.tree import (
     Statement,
 )
 from postproc.dialects.krl.language.values import Call, Reference, Value, writable_variable
-from postproc.dialects.krl.read.bas import BAS_SETS, command_of
+from postproc.dialects.krl.read.bas import BAS_SETS, command_of, data_read
 from postproc.dialects.krl.read.comments import force_comment_lines
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import Scope, stored_originals
@@ -174,14 +174,17 @@ class Analysis:
     def variable_names(self, module: Module, routine: Routine) -> frozenset[str]:
         """Return the stored names of all variables in the code of a routine and of the routines that it calls.
 
-        Local variables of these routines are left out; words that are no variables are returned as well.
+        Local variables of these routines are left out; words that are no variables are returned as well, and so are
+        data that BAS reads there.
         """
         stored_names: set[str] = set()
         for callee in self._reachable_callees([Callee(module, routine)]):
             if callee.routine not in self._names_of_routine:
                 source, scope = callee.routine.source, self.scope_of(*callee)
-                spans = [source.code_span(line) for line in callee.routine.statement_lines]
-                words = {occurrence.name for span in spans for occurrence in occurrences(source.text, *span)}
+                words: set[str] = set()
+                for line in callee.routine.statement_lines:
+                    names = {occurrence.name for occurrence in occurrences(source.text, *source.code_span(line))}
+                    words.update(names, data_read(source, line, names))
                 self._names_of_routine[callee.routine] = frozenset(
                     scope.stored_name(word) for word in words - callee.routine.local_names
                 )

@@ -57,7 +57,7 @@ def external_axes(
         # the motion is its own predecessor if its start is not known: a warning says so already
         has_open_start = predecessors is not None and predecessors[row] == row
         if rows.kind[row] != PTP and not has_open_start:
-            issues.append(_assumed_start_warning(float(end[row]), int(rows.line[row])))
+            issues.append(_assumed_start_warning(float(end[row]), trace.shown_line(int(rows.line[row]))))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
@@ -69,7 +69,7 @@ def _fixed_axis_warnings(
 
     :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given.
     :param steps: (R, 6) steps of the axes in relative targets [mm, deg]; 0 for other targets.
-    :param line: (R,) lines of the motions.
+    :param line: (R,) rows of the trace of the motions.
     :param carries_robot: True if E1 carries the robot; it may move then and is left out.
     :raises ProgramError: an axis moves.
     """
@@ -86,7 +86,8 @@ def _fixed_axis_warnings(
             change = f"from {values[given_rows[0]]:g} to {values[moved_rows[0]]:g}"
             raise _motion_error(trace, axis, change, int(line[moved_rows[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
-            issues.append(_fixed_axis_warning(axis, values[given_rows[0]], int(line[given_rows[0]]), len(given_rows)))
+            shown_line = trace.shown_line(int(line[given_rows[0]]))
+            issues.append(_fixed_axis_warning(axis, values[given_rows[0]], shown_line, len(given_rows)))
     return issues
 
 
@@ -134,7 +135,7 @@ def _fixed_axis_warning(axis: int, value: float, line: int, count: int) -> Issue
 
     :param axis: 0 for E1 … 5 for E6.
     :param value: position of the axis [mm or deg].
-    :param line: line of the first motion that gives the position.
+    :param line: line of the `.src` to report: of the first motion that gives the position.
     :param count: number of motions that give it.
     """
     name = EXTERNAL[axis]

@@ -11,6 +11,7 @@ from postproc.dialects.krl.language.structures import Block, Node
 from postproc.dialects.krl.language.tokens import words_in
 from postproc.dialects.krl.language.tree import Assignment, For, Statement
 from postproc.dialects.krl.language.values import Aggregate
+from postproc.dialects.krl.read.bas import data_read
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.variables import Snapshot
 
@@ -84,5 +85,6 @@ def _sets_whole_variable(stmt: Statement, name: str) -> bool:
 
 
 def _words_of_line(source: Source, line: int) -> list[str]:
-    """Return the words in the code of a line, upper case, in order."""
-    return [word.upper() for word, _ in words_in(source.text, *source.code_span(line))]
+    """Return the words in the code of a line, upper case, in order; then the data that it reads without naming them."""
+    words = [word for word, _ in words_in(source.text, *source.code_span(line))]
+    return [*words, *data_read(source, line, words)]
