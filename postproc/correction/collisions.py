@@ -462,22 +462,21 @@ class _StockSearch:
 
         :param samples: (N,) True for those that are searched.
         """
+        if not samples.any():
+            return
         motion = self.states.motion
-        open_samples = samples
-        while open_samples.any():
-            first = int(motion[np.argmax(open_samples)])
-            contacts = self._contacts_with_stock(first, open_samples)
-            is_decided = self.stock_count >= MOST_STOCKS
-            yield from (contact for contact in contacts if contact.motion == first or is_decided)
-            later_motions = np.unique([contact.motion for contact in contacts if contact.motion != first])
-            if is_decided or not len(later_motions):
-                return
-            # the stock before `first` contains that of later motions: only those that are too close to it remain open;
-            # the first half of them is compared with the stock before them, the others with that in their middle
+        first = int(motion[np.argmax(samples)])
+        contacts = self._contacts_with_stock(first, samples)
+        is_last_stock = self.stock_count >= MOST_STOCKS  # its contacts count for later motions too
+        yield from (contact for contact in contacts if contact.motion == first or is_last_stock)
+        # the stock before `first` contains that of later motions: only those that are too close to it remain open; both
+        # halves of them are compared with the stock before their own first motion
+        later_motions = np.unique([contact.motion for contact in contacts if contact.motion != first])
+        if len(later_motions) and not is_last_stock:
+            is_open = samples & np.isin(motion, later_motions)
             middle = int(later_motions[len(later_motions) // 2])
-            open_samples = open_samples & np.isin(motion, later_motions)
-            yield from self.contacts(open_samples & (motion < middle))
-            open_samples &= motion >= middle
+            yield from self.contacts(is_open & (motion < middle))
+            yield from self.contacts(is_open & (motion >= middle))
 
     def _contacts_with_stock(self, motion: int, samples: Bools) -> list[Contact]:
         """Return the contacts with the stock as it is before a motion, at or before samples (N,)."""
@@ -523,6 +522,7 @@ def _contacts_of_hits(bodies: Sequence[Body], states: States, hits: Hits, need: 
 
 
 def _stretches(rows: Bools) -> Iterator[tuple[int, int]]:
-    """Yield the first and the last sample (exclusive) of each run of samples that are True, (N,)."""
-    ends = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]])))
-    yield from zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True)
+    """Yield the first sample, and the one behind the last, of each run of samples for which `rows` (N,) is True."""
+    # places where a run begins or ends, in turn
+    changes = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]])))
+    yield from zip(changes[::2].tolist(), changes[1::2].tolist(), strict=True)

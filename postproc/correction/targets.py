@@ -373,18 +373,30 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     :param cell: the approximation distance of inserted targets, and the tolerance.
     """
     m, motion = program.motions, targets.motion
-    end_distance = m.blend[motion]
-    is_exact_stop = corners.rounding(end_distance) > m.rounding[motion]
-    # `Corners.rounding` solved for the distance; a straight corner has no limit that matters
+    programmed_distance = m.blend[motion]
+    rounds_too_much = corners.rounding(programmed_distance) > m.rounding[motion]
+    end_distance = np.where(rounds_too_much, 0.0, programmed_distance)
+    inner_distance = _inner_distances(program, programmed_distance, corners, cell)
+    distance = np.where(targets.t == 1.0, end_distance, inner_distance)
+    return np.where(targets.kind == PTP, 0.0, distance)
+
+
+def _inner_distances(program: Program, programmed_distance: Array, corners: Corners, cell: Cell) -> Array:
+    """Return the approximation distances (K,) [m] of targets if they are inserted; see `approximation_distances`.
+
+    Infinite in a program that keeps its text: `$APO.CDIS` of the program holds.
+
+    :param programmed_distance: (K,) distance that the program gives to the end of the motion of each target [m].
+    """
+    # the distance at which `Corners.rounding` is its share of the tolerance; a straight corner has a very large one
     limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharpness, 1e-9)
     if program.keeps_text:
-        inner_distance = np.where((end_distance > 0.0) | (corners.reach <= limit), np.inf, 0.0)
-    else:
-        inner_distance = np.maximum(end_distance, cell.gcode.approximation_mm * M_PER_MM)
-        is_limited = limit < np.minimum(inner_distance, corners.reach)
-        inner_distance[is_limited] = _round_down(limit[is_limited])
-    distance = np.where(targets.t == 1.0, np.where(is_exact_stop, 0.0, end_distance), inner_distance)
-    return np.where(targets.kind == PTP, 0.0, distance)
+        is_blended = (programmed_distance > 0.0) | (corners.reach <= limit)
+        return np.where(is_blended, np.inf, 0.0)
+    distance = np.maximum(programmed_distance, cell.gcode.approximation_mm * M_PER_MM)
+    is_limited = limit < np.minimum(distance, corners.reach)  # blending begins no earlier than `reach`
+    distance[is_limited] = _round_down(limit[is_limited])
+    return distance
 
 
 def _round_down(distance: Array) -> Array:

@@ -206,39 +206,45 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
     :raises ForceError: an unknown name, no coefficients at all, both linear and Kienzle's, or an unusable material
         file.
     """
-    materials, covariance = table(), None
+    covariance = None
     if material.file is not None:
         material, covariance = _material_of_file(material, Path(file).parent / material.file, file)
-    entry = _named_entry(material, materials, file)
-    linear, kienzle = entry.Ktc_N_per_mm2, entry.kc11_N_per_mm2
-    # either linear or Kienzle's, and the exponent mc with Kienzle's only
-    if (linear is None) == (kienzle is None) or (kienzle is None) != (entry.mc is None):
-        advice = (
-            "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
-        )
-        raise ForceError("[material] does not say how it cuts", file=file, advice=advice)
-    if linear is not None:
-        cutting = (linear, entry.Krc_N_per_mm2, entry.Kac_N_per_mm2)
-    else:
-        tangential = float(kienzle or 0.0)
-        cutting = (tangential, tangential * entry.radial_ratio, tangential * entry.axial_ratio)
-    edge = (entry.Kte_N_per_mm, entry.Kre_N_per_mm, entry.Kae_N_per_mm)
+    entry = _named_entry(material, table(), file)
+    tangential, radial, axial = _cutting_coefficients(entry, file)
+    has_axial_force = bool(axial or entry.Kae_N_per_mm)
     return CuttingLaw(
-        cutting=(cutting[0] * _PER_MM2, cutting[1] * _PER_MM2, cutting[2] * _PER_MM2),
-        edge=(edge[0] * _PER_MM, edge[1] * _PER_MM, edge[2] * _PER_MM),
+        cutting=(tangential * _PER_MM2, radial * _PER_MM2, axial * _PER_MM2),
+        edge=(entry.Kte_N_per_mm * _PER_MM, entry.Kre_N_per_mm * _PER_MM, entry.Kae_N_per_mm * _PER_MM),
         exponent=entry.mc or 0.0,
         sigma=_sigma_percent(material, entry) / 100.0,
         name=material.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else _unit_warning(entry),
-        unknown_axial=0.0 if cutting[2] or edge[2] else _UNKNOWN_AXIAL_SHARE,
+        unknown_axial=0.0 if has_axial_force else _UNKNOWN_AXIAL_SHARE,
         covariance=covariance,
     )
+
+
+def _cutting_coefficients(material: MaterialTable, file: str) -> tuple[float, float, float]:
+    """Return the tangential, radial and axial cutting coefficient of a material [N/mm²].
+
+    :param material: Ktc, Krc, Kac of the linear law; or kc1.1, the ratios to it, and mc of Kienzle's law.
+    :param file: path of the process file, for the message.
+    :raises ForceError: the material has neither Ktc nor kc1.1, or both; or one of kc1.1 and mc without the other.
+    """
+    linear, kienzle = material.Ktc_N_per_mm2, material.kc11_N_per_mm2
+    if linear is not None and kienzle is None and material.mc is None:
+        return linear, material.Krc_N_per_mm2, material.Kac_N_per_mm2
+    if linear is None and kienzle is not None and material.mc is not None:
+        return kienzle, kienzle * material.radial_ratio, kienzle * material.axial_ratio
+    advice = "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
+    raise ForceError("[material] does not say how it cuts", file=file, advice=advice)
 
 
 def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable], file: str) -> MaterialTable:
     """Return the table with the coefficients: `material` itself if it has any or no name, else the entry of its name.
 
     :param materials: the built-in materials by name.
+    :param file: path of the process file, for the message.
     :raises ForceError: an unknown name.
     """
     has_coefficients = material.Ktc_N_per_mm2 is not None or material.kc11_N_per_mm2 is not None

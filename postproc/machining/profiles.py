@@ -240,14 +240,17 @@ def _wrenches_at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, plac
 
 
 def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
-    """Return FEED axes (n, 3, 3) as columns in the frame of the map, and True (n,) for moves along the spindle.
+    """Return the FEED axes (n, 3, 3) at places on motions, as columns in the frame of the map of the stock.
 
-    :param motion: (n,) rows of `Motions`, and `t` (n,) places on them.
+    x is along the travel, square to z; z is the direction from the tip to the spindle, see `local_axes`.
+
+    :param motion: (n,) rows of `Motions`, and `t` (n,) places on them, 0 … 1.
+    :returns: the axes, and True (n,) for moves along the spindle, whose travel gives no x.
     """
-    direction = tangent(poses.program, poses.path, motion, t)
-    to_map = np.swapaxes(_map_axes_in_base(poses.program, motion, poses.frame), 1, 2)
-    direction = np.einsum("nij,nj->ni", to_map, direction)
-    return local_axes(direction, poses.spindle_directions(motion, t))
+    travel_in_base = tangent(poses.program, poses.path, motion, t)
+    base_to_map = np.swapaxes(_map_axes_in_base(poses.program, motion, poses.frame), 1, 2)
+    travel_in_map = np.einsum("nij,nj->ni", base_to_map, travel_in_base)
+    return local_axes(travel_in_map, poses.spindle_directions(motion, t))
 
 
 def _map_axes_in_base(program: Program, motion: Ints, map_in_base: Array) -> Array:

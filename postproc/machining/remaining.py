@@ -8,6 +8,7 @@ removed piece by piece. For all other bodies the coarse cells and the times at w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -87,7 +88,7 @@ class Ceiling:
     def __init__(self, stock: Stock) -> None:
         """Begin with a map of the uncut stock, which is kept and not copied."""
         self.stock = stock
-        self._factor = max(1, -(-max(stock.high.shape) // MOST_SIDE_CELLS))
+        self._factor = max(1, math.ceil(max(stock.high.shape) / MOST_SIDE_CELLS))  # fine cells along a coarse one
         self.cell = self._factor * stock.cell
         self._level = self._highest_material(slice(None), slice(None))
         self._start_level = self._level.copy()
@@ -129,7 +130,7 @@ class Ceiling:
         old_level = self._level[rows, columns]
         if not old_level.size:
             return
-        factor = self._factor  # fine cells along the side of a coarse one
+        factor = self._factor
         new_level = self._highest_material(
             slice(rows.start * factor, rows.stop * factor), slice(columns.start * factor, columns.stop * factor)
         )
@@ -158,13 +159,14 @@ class Ceiling:
         solid = np.isfinite(level)
         step, top = _LEVEL_STEP_SHARE * self.cell, float(level.max(initial=-np.inf))
         level[solid] = top - step * np.floor((top - level[solid]) / step + 1e-9)  # 1e-9: rounding
-        first_column, end_column, first_row, end_row, box_top = np.array(_boxes(level), dtype=float).reshape(-1, 5).T
-        bottom = np.full(len(box_top), float(self.stock.floor.min()))
-        x, y = self.stock.x, self.stock.y
-        low = np.column_stack([x + self.cell * first_column, y + self.cell * first_row, bottom])
-        high = np.column_stack([x + self.cell * end_column, y + self.cell * end_row, box_top])
-        corners = np.where(_CORNERS, high[:, None], low[:, None])
-        faces = np.arange(len(box_top))[:, None, None] * len(_CORNERS) + _FACES
+        boxes, cell = _boxes(level), self.cell
+        x, y, bottom = self.stock.x, self.stock.y, float(self.stock.floor.min())
+        low = [(x + cell * box.first_column, y + cell * box.first_row, bottom) for box in boxes]
+        high = [(x + cell * box.end_column, y + cell * box.end_row, box.level) for box in boxes]
+        corners = np.where(
+            _IS_UPPER, np.array(high).reshape(-1, 1, 3), np.array(low).reshape(-1, 1, 3)
+        )  # (boxes, 8, 3)
+        faces = 8 * np.arange(len(boxes))[:, None, None] + _FACES  # (boxes, 12, 3)
         return corners.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
 
 
@@ -198,12 +200,13 @@ class StockInTime(Struct, frozen=True, eq=False):
         return vertices @ frame[:3, :3].T + frame[:3, 3], faces
 
 
-_CORNERS = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)], dtype=bool)
-"""Whether each corner of a box is at its upper end in x, y, z."""
+_IS_UPPER = np.array([[k & 1, k >> 1 & 1, k >> 2] for k in range(8)], dtype=bool)
+"""(8, 3) True where a corner of a box is at its upper end in x, y, z."""
 _FACES = np.array([
     [0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5],
 ])  # fmt: skip
+"""(12, 3) corners of the triangles of a box, two for each side; rows of `_IS_UPPER`."""
 
 
 class _Box(NamedTuple):
@@ -287,14 +290,11 @@ class Guard(Struct, eq=False):
         begin, end = segments.begin[rows], segments.end[rows]
         low, high = np.minimum(begin, end).min(axis=0), np.maximum(begin, end).max(axis=0)
         for part in self.parts:
-            # the material near the path is below the part; the cutter has removed it; enough motions are recorded
-            reach, cell = part.radius + self.min_distance + ceiling.cell, ceiling.stock.cell
-            if ceiling.highest_level(low - reach, high + reach) <= low[2] + part.height - self.min_distance:
-                continue
-            if (
-                self._is_in_sweep(part, cutter, cell)
-                or sum(name == part.name for name, _ in self.close_distances) >= _MOST_HITS
-            ):
+            reach = part.radius + self.min_distance + ceiling.cell
+            highest_level = ceiling.highest_level(low - reach, high + reach)
+            is_above_material = highest_level <= low[2] + part.height - self.min_distance
+            is_recorded = sum(name == part.name for name, _ in self.close_distances) >= _MOST_HITS
+            if is_above_material or is_recorded or self._is_in_sweep(part, cutter, ceiling.stock.cell):
                 continue
             if touches(ceiling.stock, *self._swept_volume(part, begin, end, self.min_distance)).any():
                 self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)

@@ -45,16 +45,18 @@ def operation_knots(program: Program, process: Process) -> Knots:
     :raises ProgramError: a routine that cuts is not followed.
     """
     refuse_unread_cuts(program)
-    entry_of_motion, named_entry = _entries_of_motions(program, process)
+    entry_of_motion, entry_by_comment = _entries_of_motions(program, process)
     motion = np.flatnonzero((entry_of_motion >= 0) & ~program.motions.rapid)
     entries = list(process.operations.values())
+    # wrench, frame and relative standard deviation of each entry; `rows` is the entry of each cutting motion
     wrench = np.array([_wrench_of_entry(entry) for entry in entries]).reshape(-1, 6)
     frame = np.array([FORCE_FRAMES.index(entry.frame) for entry in entries], dtype=np.int64)
     share = np.array([entry.sigma_percent / 100.0 for entry in entries])
     rows = entry_of_motion[motion]
     sigma = np.abs(wrench[rows]) * share[rows, None]
-    issues = tuple(_ignored_comment_issues(program, named_entry, list(process.operations)))
-    return replace(Knots.throughout(motion, wrench[rows], frame[rows], sigma, share[rows]), issues=issues)
+    knots = Knots.throughout(motion, wrench[rows], frame[rows], sigma, factor=share[rows])
+    issues = _ignored_comment_issues(program, entry_by_comment, list(process.operations))
+    return replace(knots, issues=tuple(issues))
 
 
 def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]:

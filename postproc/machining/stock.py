@@ -16,6 +16,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from postproc.chunks import ragged_range
 from postproc.errors import ForceError
 from postproc.frames import Array
 from postproc.machining.material import Floats
@@ -146,7 +147,7 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
     :param y_shift: distance from the middles along y, and `x_shift` along x, in cells from −0.5 to 0.5.
     """
     x_side, y_side = 1 if x_shift >= 0.0 else -1, 1 if y_shift >= 0.0 else -1
-    steps = [(0, 0), (0, x_side), (y_side, 0), (y_side, x_side)]
+    steps = [(0, 0), (0, x_side), (y_side, 0), (y_side, x_side)]  # to the four cells around the point: rows, columns
     shape, distance = high.shape, (abs(y_shift), abs(x_shift))
     has_all_slopes, border = np.ones(shape, dtype=bool), ((1, 1), (1, 1))
     padded_high, padded_has_slope = np.pad(high, border, mode="edge"), np.pad(has_slope, border, mode="edge")
@@ -158,12 +159,14 @@ def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_
         slope = padded_rise[window]
         has_all_slopes &= padded_has_slope[window]
         levels.append(padded_high[window])
+        # of the tangent plane of the neighbour, from the middle of that cell to the point
         plane_rise = np.float32(x_shift - column_step) * slope[..., 0] + np.float32(y_shift - row_step) * slope[..., 1]
         plane_rises.append(np.asarray(plane_rise, dtype=np.float32))
         # bilinear: the nearer the neighbour, the larger its weight
         share = (distance[0] if row_step else 1.0 - distance[0]) * (distance[1] if column_step else 1.0 - distance[1])
         weights.append(np.full(shape, share, dtype=np.float32))
     surface = np.zeros_like(high)
+    # the mean of what the four cells give for the surface at the point, each from its level and slope
     for level, weight, rise in zip(levels, weights, surface_rises(levels, weights, plane_rises), strict=True):
         surface += weight * (level + rise)
     return np.where(has_all_slopes, surface, high)
@@ -322,8 +325,10 @@ def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:
 def _divided_at_walls(upper: Array, is_solid: Bools, cell: float) -> tuple[Array, Array, Array]:
     """Return the heights of squares above walls in cells, and level and share of the lower part of each cell.
 
-    A cell has a wall if its squares are at two levels that differ by more than the width of the cell. Squares at the
-    lower level get the upper one. The share is 0 in cells without a wall.
+    A cell has a wall if its squares are at two levels that differ by more than the width of the cell. Squares above the
+    mean of the highest and the lowest one are of the upper level, which is their mean height; likewise the lower level.
+    The highest and the lowest square must be within a quarter of the width of their levels: a steep plane is no wall.
+    Squares at the lower level get the upper one. The share is 0 in cells without a wall.
 
     :param upper: (ny · s, nx · s) heights of the surface in the s × s squares of each cell [m].
     :param is_solid: (ny · s, nx · s) True for squares with material.
@@ -339,7 +344,6 @@ def _divided_at_walls(upper: Array, is_solid: Bools, cell: float) -> tuple[Array
     low_count = _SUBDIVISION**2 - high_count
     high = np.where(is_high, squares, 0.0).sum(axis=(1, 3)) / high_count
     low = np.where(is_high, 0.0, squares).sum(axis=(1, 3)) / np.maximum(low_count, 1)
-    # a steep plane has no two levels
     is_level = np.maximum(highest - high, low - lowest) < 0.25 * cell
     is_wall = is_whole & (low_count > 0) & (high - low > cell) & is_level
     above = np.where(is_wall[:, None, :, None], high[:, None, :, None], upper.reshape(blocks)).reshape(upper.shape)
@@ -400,12 +404,9 @@ def _points_in_boxes(
         last_count = running_count[begin - 1] if begin else 0
         end = max(begin + 1, int(np.searchsorted(running_count, last_count + MOST_PAIRS, side="right")))
         rows = np.repeat(np.arange(begin, end), point_count[begin:end])
-        # number of each point within the box of its triangle
-        index = np.arange(len(rows)) - np.repeat(
-            running_count[begin:end] - point_count[begin:end] - last_count, point_count[begin:end]
-        )
-        column = first_index[0][rows] + index % np.maximum(index_count[0][rows], 1)
-        row = first_index[1][rows] + index // np.maximum(index_count[0][rows], 1)
+        number = ragged_range(point_count[begin:end])  # of each point within the box of its triangle, row by row
+        column = first_index[0][rows] + number % np.maximum(index_count[0][rows], 1)
+        row = first_index[1][rows] + number // np.maximum(index_count[0][rows], 1)
         yield row * count[0] + column, rows
         begin = end
 

@@ -258,26 +258,26 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     """
     parts = list(_cells_by_move(stock, cutter, tip, axis, top))
     if not parts:
-        return SweptCells(Footprint.empty(), Footprint.empty(), 0.0, 0.0, 0.0)
+        return SweptCells(Footprint.empty(), Footprint.empty(), depth=0.0, overhang=0.0, removal=0.0)
     covered = _CoveredCells(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    # each cell once: lowest level of the lower side, and highest level of the upper side, over all moves
     cell, cell_row = np.unique(covered.cell, return_inverse=True)
-    level, upper, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
-    np.minimum.at(level, cell_row, covered.low)
-    np.maximum.at(upper, cell_row, covered.high)
+    low, high, is_front = np.full(len(cell), np.inf), np.full(len(cell), -np.inf), np.zeros(len(cell), dtype=bool)
+    np.minimum.at(low, cell_row, covered.low)
+    np.maximum.at(high, cell_row, covered.high)
     is_front[cell_row[covered.is_front]] = True
     material, floor = (values.reshape(-1)[cell] for values in (stock.high, stock.floor))
-    overhang = float(np.maximum(material - np.maximum(upper, floor), 0.0)[~is_front].sum()) * stock.cell**2
-    depth = np.maximum(material - np.maximum(level, floor), 0.0)
-    volume = float(depth[~is_front].sum()) * stock.cell**2
+    height_above = np.maximum(material - np.maximum(high, floor), 0.0)  # of the material above the tool
+    depth = np.maximum(material - np.maximum(low, floor), 0.0)
     no_rim = np.zeros(0, dtype=bool)
     segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
-    footprint = replace(Footprint.empty(), cell=cell, level=level.astype(np.float32), segment=segment)
+    footprint = replace(Footprint.empty(), cell=cell, level=low.astype(np.float32), segment=segment)
     return SweptCells(
-        footprint.selected(~is_front, no_rim),
-        footprint.selected(is_front, no_rim),
-        float(depth.max(initial=0.0)),
-        overhang,
-        volume,
+        footprint=footprint.selected(~is_front, no_rim),
+        front=footprint.selected(is_front, no_rim),
+        depth=float(depth.max(initial=0.0)),
+        overhang=float(height_above[~is_front].sum()) * stock.cell**2,
+        removal=float(depth[~is_front].sum()) * stock.cell**2,
     )
 
 
@@ -317,7 +317,8 @@ def _is_outward_side(
 ) -> Bools:
     """Return True for points (L, h, w) next to the side of a tool, or outside of it, where the tool moves outwards.
 
-    It does so where its velocity at the point has a component along the outward normal of its cylinder.
+    It does so where its velocity at the point has a component along the outward normal n of its cylinder. A point r
+    from the tip, at the height h along the axis, moves by shift + h turn − axis (r·turn) as the axis changes by turn.
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle at the poses.
     :param rows: (L,) first pose of each move.
@@ -335,7 +336,7 @@ def _is_outward_side(
     # components of the point along the axis, and along the change of the axis
     along, lean = (sum(p * u for p, u in zip(place, vector, strict=True)) for vector in (end_axis, axis_change))
     to_side = [p - along * u for p, u in zip(place, end_axis, strict=True)]  # square to the axis
-    # velocity of the point of the tool: that of the tip, and ω × r with the change of the axis, ω × axis
+    # n · velocity, for a normal of any length
     outwards = sum(
         normal * (tip_step + along * axis_step - u * lean)
         for normal, tip_step, axis_step, u in zip(to_side, tip_change, axis_change, end_axis, strict=True)

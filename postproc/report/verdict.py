@@ -107,8 +107,8 @@ def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -
     """
     errors = [issue.message for issue in result.issues if issue.level == "error"]
     doubts = _issue_findings(warnings, result.mode)
-    if content.targets:
-        surface_doubts, _ = _surface_findings(content)
+    if content.targets:  # else no motion was examined
+        surface_doubts, _ = _surface_findings(content)  # the others are findings that speak for the program
         doubts = [*surface_doubts, *_narrow_margin_findings(content), *doubts]
     # name of each check → whether it was made
     checks = {
@@ -119,8 +119,14 @@ def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -
         TOOL_CHANGES: all(issue.kind != _AFTER_TOOL_CHANGE for issue in result.issues),
     }
     unchecked = [name for name, is_checked in checks.items() if not is_checked]
-    state: State = "failed" if errors else "warning" if doubts else "ok"
-    return Drive(state, [*errors, *_sorted_texts(doubts)], unchecked)
+    return Drive(_state(errors, doubts), [*errors, *_sorted_texts(doubts)], unchecked)
+
+
+def _state(failures: Sequence[object], doubts: Sequence[object]) -> State:
+    """Return the state of an answer: failed if there are failures, else a warning if there are doubts, else ok."""
+    if failures:
+        return "failed"
+    return "warning" if doubts else "ok"
 
 
 def _improvement_answer(
@@ -139,7 +145,7 @@ def _improvement_answer(
     doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
     if errors is None or _is_corrected_input(content):
         return Improvement(
-            state="warning" if doubts else "ok",
+            state=_state([], doubts),
             uncorrected_mm=None,
             corrected_mm=None,
             uncorrected_rms_mm=None,
@@ -159,9 +165,8 @@ def _improvement_answer(
         doubts.append(Finding(corrected_mm, _uncertain_gain_text(result, content, chance)))
     if content.mode == "convert" and (corrected.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
         doubts.append(Finding(corrected_mm, _WORSE_PLACE))
-    state: State = "failed" if failures else "warning" if doubts else "ok"
     return Improvement(
-        state=state,
+        state=_state(failures, doubts),
         uncorrected_mm=uncorrected.largest * MM_PER_M,
         corrected_mm=corrected_mm,
         uncorrected_rms_mm=uncorrected.rms * MM_PER_M,

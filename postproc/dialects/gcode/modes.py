@@ -108,7 +108,7 @@ class Switching:
                 self._coolant = code != codes.COOLANT[-1]
                 self._add_event(row, "coolant_on" if self._coolant else "coolant_off")
             elif code in codes.STOP:
-                self.events.append(RowEvent(row, True, "stop"))
+                self._add_event(row, "stop", is_after_motion=True)
             elif code in codes.END:
                 self._end_program(row)
         for code in m:
@@ -131,7 +131,7 @@ class Switching:
             values.pop("P", None)
             values.pop("Q", None)
         if cell_lines:
-            self.events.append(RowEvent(row, False, "m_code", code))
+            self._add_event(row, "m_code", code)
 
     def check_tool_length(self, row: int, length: float | None) -> None:
         """Check G43 against the tool in the spindle; add a remark if H names another tool.
@@ -161,7 +161,7 @@ class Switching:
             self._add_remark("warning", "tool-length", message, row, f"{length:g}")
 
     def add_dwell(self, row: int, seconds: float) -> None:
-        """Record a dwell (G4) [s]."""
+        """Record a dwell (G4) [s] of the block in a row."""
         self._add_event(row, "dwell", seconds)
 
     def _add_tool_change(self, row: int) -> None:
@@ -218,11 +218,12 @@ class Switching:
             if speed < 0.0:
                 raise BlockError("negative spindle speed", None)
             self._speed = speed
-        spindle_kind = next((kind for code, kind in _SPINDLE.items() if code in m), None)
-        self._spindle = spindle_kind or self._spindle
-        if spindle_kind == "spindle_off":
+        command = next((kind for code, kind in _SPINDLE.items() if code in m), None)  # M3, M4 or M5
+        self._spindle = command or self._spindle
+        has_new_speed = speed is not None and self._spindle != "spindle_off"
+        if command == "spindle_off":
             self._add_event(row, "spindle_off")
-        elif spindle_kind or (speed is not None and self._spindle != "spindle_off"):
+        elif command or has_new_speed:
             self._add_event(row, self._spindle, self._speed)
             if self._speed == 0.0:
                 self._add_remark(
@@ -230,19 +231,23 @@ class Switching:
                 )
 
     def _end_program(self, row: int) -> None:
-        """End the program: switch spindle and coolant off after the motion of the block."""
+        """End the program: switch spindle and coolant off after the motion of the block in a row."""
         self.ended = True
         if self._spindle != "spindle_off":
-            self.events.append(RowEvent(row, True, "spindle_off"))
+            self._add_event(row, "spindle_off", is_after_motion=True)
         if self._coolant:
-            self.events.append(RowEvent(row, True, "coolant_off"))
+            self._add_event(row, "coolant_off", is_after_motion=True)
 
-    def _add_event(self, row: int, kind: EventKind, value: float = 0.0) -> None:
-        """Record an event that precedes the motion of its line; `value`: see `Event`."""
-        self.events.append(RowEvent(row, False, kind, value))
+    def _add_event(self, row: int, kind: EventKind, value: float = 0.0, *, is_after_motion: bool = False) -> None:
+        """Record an event of the block in a row.
+
+        :param value: see `Event`.
+        :param is_after_motion: True if the event follows the motion of the block, False if it precedes it.
+        """
+        self.events.append(RowEvent(row, is_after_motion, kind, value))
 
     def _add_remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
-        """Add a remark on a line for the user."""
+        """Add a remark on the line in a row (from 0) for the user; `subject`: see `Issue`."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
 
@@ -699,7 +704,7 @@ class _Reader:
             del block.values["H"]
 
     def _add_remark(self, level: Level, kind: str, message: str, row: int, subject: str = "") -> None:
-        """Add a remark on a line for the user."""
+        """Add a remark on the line in a row (from 0) for the user; `subject`: see `Issue`."""
         self.issues.append(Issue(level, kind, message, row + 1, subject=subject))
 
     def _offset_refusal(self, code: float) -> codes.Refusal | None:

@@ -275,6 +275,11 @@ class Parser:
                     self.word = self._renamed.get(self.word, self.word)
                 return
 
+    def _continue_at(self, offset: int) -> None:
+        """Make the first token at or behind an offset the next token."""
+        self.stop = offset
+        self.step()
+
     def fault(self, expectation: str) -> RapidSyntaxError:
         """Return the error that `expectation` is expected in place of the next token."""
         token = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
@@ -379,12 +384,12 @@ class Parser:
     def _list(self) -> Expression:
         """Parse an aggregate in [ ]; a target of 17 numbers is matched at once, for speed.
 
+        :returns: an expression of the kind ``numbers`` for such a target, else one of the kind ``list``.
         :raises RapidSyntaxError: it is not valid.
         """
         start = self.start
         if (match := _PLAIN_TARGET.match(self.text, start)) is not None:
-            self.stop = match.end()
-            self.step()
+            self._continue_at(match.end())
             return Expression("numbers", start, match.end(), match.groups())
         self.expect("[")
         items = [self.expression()]
@@ -489,8 +494,7 @@ class Parser:
             start, stop = match.span(len(groups))
             name = Expression("name", start, stop, groups[-1].upper())
             arguments.append(Argument("WOBJ", name, match.start(len(groups) - 1), stop))
-        self.stop = match.end()
-        self.step()
+        self._continue_at(match.end())
         return Instruction(match.start(), match.end(), groups[0].upper(), tuple(arguments))
 
     def _plain_argument(self, start: int, stop: int) -> Expression:
@@ -508,7 +512,7 @@ class Parser:
         :param word: its first word, which is the next token.
         :raises RapidSyntaxError: it is not valid.
         """
-        self.step()
+        self.step()  # to the token behind the word
         if word == "CONNECT":
             self.expression()
             self.expect("WITH")
@@ -548,9 +552,7 @@ class Parser:
             self.step()
             return Jump(start, self.previous_stop, ":")
         if self.kind == "symbol" and self.word in (":=", "{", "."):
-            target = name
-            if self.word != ":=":
-                target = self._components(name)
+            target = self._components(name)
             self.expect(":=")
             value = self.expression()
             self.expect(";")
@@ -562,10 +564,11 @@ class Parser:
     def _components(self, expression: Expression) -> Expression:
         """Parse the indices { } and components . behind an expression; return the whole reference.
 
+        :param expression: the expression, which is returned if neither follows.
         :raises RapidSyntaxError: they are not valid.
         """
         start = expression.start
-        while self.kind == "symbol" and self.word in "{.":
+        while self.kind == "symbol" and self.word in ("{", "."):
             if self.accept("{"):
                 items = [expression, self.expression()]
                 while self.accept(","):
@@ -692,8 +695,7 @@ class Parser:
             end = self.text.find("%%%", self.stop + 2)
             if end < 0:
                 raise self.fault("%%%")
-            self.stop = end + 3
-            self.step()
+            self._continue_at(end + len("%%%"))
         while self.kind != "end":
             if self.word != "MODULE":
                 raise self.fault("MODULE")

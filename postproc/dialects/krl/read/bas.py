@@ -118,8 +118,10 @@ class Bas:
         """Return the state after BAS(#INITMOV,0): default settings, but for those of splines, which stay.
 
         The frames depend on `[krl] initmov` of the cell. "bas": BASE(0) and TOOL_DATA[1], as KUKA's BAS sets them.
-        "cell": the frames of the cell, rows 0. Not stated: the frames of the cell as well; if the program has set
-        others before, the frames are not known.
+        "cell": the frames of the cell. Not stated: the frames of the cell as well; if the program has set other frames
+        before, they are not known.
+
+        :param place: file and line of the call, for messages.
         """
         spline_fields = {field: getattr(state, field) for field in _SPLINE_VARIABLES.values()}
         initial_state = State(
@@ -128,9 +130,9 @@ class Bas:
         )
         initmov = self.cell.krl.initmov
         if initmov == "bas":
-            return self.frames.state_with_numbered_frame(
-                self.frames.state_with_numbered_frame(initial_state, place, "$BASE", 0), place, "$TOOL", 1
-            )
+            base_state = self.frames.state_with_numbered_frame(initial_state, place, "$BASE", 0)
+            return self.frames.state_with_numbered_frame(base_state, place, "$TOOL", 1)
+        # base and tool 0 are the frames of the cell, see `Frames.bases`; so they are in `initial_state`
         if initmov is None and (state.base != 0 or state.tool != 0):
             return self._without_frames(
                 initial_state, place, "BAS(#INITMOV,0) resets $BASE and $TOOL after they were set"
@@ -138,10 +140,12 @@ class Bas:
         return replace(initial_state, initial_frames=frozenset(("$BASE", "$TOOL")))
 
     def _without_frames(self, state: State, place: Place, reason: str) -> State:
-        """Return a state in which `$BASE` and `$TOOL` are not known; the reason is stored for messages."""
-        return self.frames.state_with_unknown_frame(
-            self.frames.state_with_unknown_frame(state, "$BASE", place, reason), "$TOOL", place, reason
-        )
+        """Return a state in which `$BASE` and `$TOOL` are not known; the reason is stored for messages.
+
+        :param place: file and line of the call, for messages.
+        """
+        state = self.frames.state_with_unknown_frame(state, "$BASE", place, reason)
+        return self.frames.state_with_unknown_frame(state, "$TOOL", place, reason)
 
     def _structure_value(self, name: str, place: Place) -> VariableValue:
         """Return the value of a structure that a command of BAS reads: LDAT_ACT or FDAT_ACT."""

@@ -346,6 +346,10 @@ class Calls:
 
         An argument that the routine may write needs one name in the routine, that of its parameter: a variable with two
         names would have two values while the routine runs.
+
+        :param place: file and line of the call.
+        :param module: the module of the called routine.
+        :param effects: what the routine writes, and whether it jumps.
         """
         if routine in self.run.stack:
             return "it calls itself"
@@ -357,7 +361,7 @@ class Calls:
             return f"more than {_MAX_CALL_DEPTH} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
-        roots: set[str] = set()  # stored names of the variables that the arguments are, or are elements of
+        roots: set[str] = set()  # stored names of the variables, or of the arrays whose elements, are arguments
         for index, reference in self._writable_arguments(place, call, routine):
             name, root = place.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
             # no index in the brackets: a whole array
@@ -374,7 +378,8 @@ class Calls:
         """Return whether an argument is a whole array for an array parameter of the same type.
 
         :param index: index of the argument and of its parameter.
-        :param root: stored name of the array.
+        :param reference: the argument, an array without an index.
+        :param root: stored name of this array.
         """
         parameter = routine.parameters[index]
         array_type = self.run.variables.types.get(root)
@@ -385,11 +390,13 @@ class Calls:
     ) -> _BoundCall:
         """Return a call with the scope and the argument values of its routine; functions in the arguments are run.
 
+        :param place: file and line of the call.
+        :param module: the module of the called routine.
         :param is_traced: True if the routine is in the execution trace.
         """
         variables, parameters = self.run.variables, routine.parameters
         writable_arguments = self._writable_arguments(place, call, routine)
-        # whole arrays (no index in the brackets) are not copied: the parameter stands for the array of the caller
+        # a whole array (no index in the brackets) is not copied: the routine works on the array of the caller
         arrays = {
             parameters[index].name: self.run.stored_name(reference.name)
             for index, reference in writable_arguments
@@ -404,6 +411,7 @@ class Calls:
             if reference.indices != () and index < len(parameters)
         ]
         argument_values = self._argument_values(place, call, routine, is_traced=is_traced)
+        # parameters whose variables in the caller may change at any time
         volatile_names = {
             scope.stored_name(parameters[argument.number].name): variables.volatile_values[root]
             for argument in references

@@ -269,7 +269,7 @@ class _Follower:
             self.starts_from_joints[row] = self.robot_position.numbers is None
             self.numbers[row] = self._relative_target(move, start)
             if move.via is not None:
-                via = start[:3] + _relative_offset(move.via.position, move.relative_axes, start)
+                via = start[:3] + _offset_in_base(move.via.position, move.relative_axes, start)
                 self.circles[row] = np.stack([via, self.numbers[row, :3]])
         else:
             if control.keeps_orientation[row]:
@@ -339,18 +339,18 @@ class _Follower:
         angle_changes = np.nan_to_num(np.array(position.values)[3:])  # NaN: the text does not state the angle
         if np.any(angle_changes != 0.0):
             raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
-        return np.concatenate([start[:3] + _relative_offset(position, move.relative_axes, start), start[3:]])
+        return np.concatenate([start[:3] + _offset_in_base(position, move.relative_axes, start), start[3:]])
 
 
-def _relative_offset(position: Position, axes: str, start: Array) -> Array:
-    """Return the offset (3,) [mm] of a relative point in `$BASE`.
+def _offset_in_base(position: Position, axes: str, start: Array) -> Array:
+    """Return the offset (3,) [mm] of a relative point from the start of its motion, in `$BASE` axes.
 
     :param position: the relative point; its missing components are NaN, and count as 0.
     :param axes: ``#BASE`` or ``#TOOL``: the axes in which the text gives the offset.
     :param start: (6,) X…C [mm, deg] at which the motion begins.
     """
-    step = np.nan_to_num(np.array(position.values[:3]))
-    return np.asarray(pose_from_xyzabc(start)[:3, :3] @ step) if axes == "#TOOL" else step
+    offset = np.nan_to_num(np.array(position.values[:3]))
+    return np.asarray(pose_from_xyzabc(start)[:3, :3] @ offset) if axes == "#TOOL" else offset
 
 
 def flange_on_track(flange: Array, carriage: Carriage, position: float) -> Array:

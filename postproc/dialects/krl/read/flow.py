@@ -82,27 +82,29 @@ class Flow:
     def follow(self, source: Source, nodes: tuple[Node, ...], *, ends_routine: bool = False) -> None:
         """Run statements and control structures one by one, up to RETURN, EXIT, or a GOTO to a label not among them.
 
+        :param source: the file.
+        :param nodes: statements, given by their lines (from 1), and control structures, in order.
         :param ends_routine: True if the routine ends after the nodes.
         :raises InexactError: the branch taken is not known before run time.
         """
         level, index = self.run.level, 0
         while index < len(nodes):
             node = nodes[index]
-            # an IF that skips statements is followed together with them
-            if isinstance(node, Block) and (
-                next_index := self._follow_skip(source, nodes, index, ends_routine=ends_routine)
-            ):
-                index = next_index
-                continue
             if isinstance(node, Block):
+                # an IF that skips statements is followed together with them
+                next_index = self._follow_skip(source, nodes, index, ends_routine=ends_routine)
+                if next_index:
+                    index = next_index
+                    continue
                 self._follow_block(source, node)
-            # a label is followed together with the statements up to the IF that jumps back to it
-            elif isinstance(stmt := statement(source, node), tree.Label) and (
-                if_index := self._follow_back_jump(source, nodes, index, stmt)
-            ):
-                index, node = if_index, nodes[if_index]  # continue behind the IF
             else:
-                self._follow_statement(Place(source, node), stmt)
+                stmt = statement(source, node)
+                # a label is followed together with the statements up to the IF that jumps back to it
+                if_index = self._follow_back_jump(source, nodes, index, stmt) if isinstance(stmt, tree.Label) else 0
+                if if_index:
+                    index, node = if_index, nodes[if_index]  # continue behind the IF
+                else:
+                    self._follow_statement(Place(source, node), stmt)
             index = self._label_index(source, nodes, index) if level.jump_line else index + 1
             if level.is_broken_off:
                 # a GOTO has recorded its lines itself
@@ -198,6 +200,7 @@ class Flow:
     def set_counter(self, place: Place, counter: Reference, number: int) -> None:
         """Set the counter of a FOR to a number, its value in a round of a recorded trace; note an error of the FOR.
 
+        :param place: file and line of the FOR.
         :raises InexactError: too many statements have run.
         """
         self._count_statement(place)
@@ -212,7 +215,10 @@ class Flow:
     # --- statements --------------------------------------------------------------------------------------------------
 
     def _follow_statement(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow one statement. EXIT sets `Level.is_left`, GOTO `Level.jump_line`: the next statement does not run."""
+        """Follow one statement. EXIT sets `Level.is_left`, GOTO `Level.jump_line`: the next statement does not run.
+
+        :param place: file and line of the statement.
+        """
         level, word = self.run.level, stmt.word
         if level.is_traced:
             self._go_to_line(place.line)
@@ -230,7 +236,7 @@ class Flow:
         self._follow_noting_errors(place, stmt)
 
     def _go_to_line(self, line: int) -> None:
-        """Make the row of the trace with a line (from 1) of the present routine the present row."""
+        """Set `Run.row` to the row of the trace with a line (from 1) of the present routine."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
             run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
@@ -239,6 +245,7 @@ class Flow:
     def _follow_noting_errors(self, place: Place, stmt: tree.Statement) -> None:
         """Follow a statement; in a traced routine its error is noted, and later statements are followed too.
 
+        :param place: file and line of the statement.
         :raises InexactError: the branch taken is not known before run time.
         :raises ProgramError: the statement has an error, and its routine is not traced.
         """
@@ -254,6 +261,7 @@ class Flow:
     def _count_statement(self, place: Place) -> None:
         """Count a statement that runs: in `_traced_count` in code with motions, else in `run.statement_count`.
 
+        :param place: file and line of the statement, for the message.
         :raises InexactError: more statements have run than are followed.
         """
         if self._motionless_depth or not self.run.level.is_traced:
@@ -289,6 +297,7 @@ class Flow:
     def _inline_call(self, place: Place, call: Call) -> bool:
         """Follow the call of a routine with motions or force comments, as part of the execution trace.
 
+        :param place: file and line of the call.
         :returns: False if the call is not part of the trace: no trace is recorded, the routine has neither motions nor
             force comments, the call may not run, an argument moves the robot, or a routine of the program itself cannot
             be followed and is left uncorrected (`--keep-unresolved`).
@@ -356,6 +365,8 @@ class Flow:
     def _record_call(self, place: Place, call: Call, recorder: Recorder, module: Module, routine: Routine) -> None:
         """Record the call of a routine with motions, follow the statements of the routine, and return to the caller.
 
+        :param place: file and line of the call.
+        :param module: the module of the called routine.
         :raises InexactError: the call cannot be followed exactly.
         """
         run = self.run
@@ -643,7 +654,10 @@ class Flow:
             holds = self.run.variables.truth(stmt.condition)
             if holds is None:
                 raise undecided_error(self.run, place)
-            return 0 if holds else 1 if len(block.parts) > 1 else -1
+            if holds:
+                return 0
+            has_else = len(block.parts) > 1
+            return 1 if has_else else -1
         if not isinstance(stmt, tree.Switch) or self._may_have_effects(stmt.values):
             raise undecided_error(self.run, place)
         selector = self.run.variables.evaluate(stmt.value)

@@ -59,7 +59,9 @@ class Settings:
             if uncertain_field == FIELDS.get(name):
                 return UnknownValue(reason=self._reasons.errors[index].problem)
         if name in ("$WORLD", "$ROBROOT"):
-            return ZERO if field is None else component(ZERO, field) if field in CARTESIAN else NO_VALUE
+            if field is None:
+                return ZERO
+            return component(ZERO, field) if field in CARTESIAN else NO_VALUE
         if (name, field) == ("$VEL", "CP") and not state.is_speed_assumed:
             return self._followed_number(state.speed)
         if (name, field) == ("$APO", "CDIS"):

@@ -391,8 +391,9 @@ class Variables:
         :param snapshot: the values at the end of another branch.
         :param place: the join of the branches, for messages.
         """
-        values, volatile_names = self.late_values | snapshot.values, snapshot.volatile_values
-        self.volatile_values = volatile_names | self.volatile_values
+        # data lists that were read after the snapshot: their values have held since the program began
+        values = self.late_values | snapshot.values
+        self.volatile_values = snapshot.volatile_values | self.volatile_values
         for key in self._values.keys() | values.keys():
             if not self._have_same_value(self._values.get(key), values.get(key)):
                 self._values[key] = UnknownValue(place)

@@ -127,15 +127,15 @@ class _Folder(Struct, eq=False):
 
         :param file: the whole `.src`.
         """
-        begins = self.edited.begins
+        begins = self.edited.begins  # number of lines of the corrected trace before row k + 1
         line = np.zeros(len(begins), dtype=np.int64)
         is_in_main = np.zeros(len(begins), dtype=np.bool_)
-        # columns of the places; reshape: there may be none
-        piece_line, first, last = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
-        row_count = last - first
+        # each place: number of lines before it in the file, its first row, the row behind its last; there may be none
+        lines_before, first, stop = np.array(file.places, dtype=np.int64).reshape(-1, 3).T
+        row_count = stop - first
         rows = ragged_range(row_count, first)
-        # from lines of the corrected trace to lines of the file: the difference is constant within each place
-        shift = 1 + piece_line - begins[first - 1]
+        # line of the file minus number of lines before it in the corrected trace: constant within each place
+        shift = 1 + lines_before - begins[first - 1]
         line[rows] = np.repeat(shift, row_count) + begins[rows - 1]
         is_in_main[rows] = True
         for call in self.outside_calls:

@@ -53,7 +53,7 @@ class NamedPoints(Struct, eq=False):
 
     :ivar sources: the `.src` and, if there is one, its `.dat`.
     :ivar replacements: edits of each of these files.
-    :ivar mentions: see `mentions`.
+    :ivar mentions: all places at which code names a variable, see `Mentions`.
     :ivar issues: information for the user.
     """
 
@@ -110,7 +110,11 @@ class NamedPoints(Struct, eq=False):
         return self._is_motion_only[name]
 
     def _correct_declaration(self, use: Use, aggregate: Aggregate) -> None:
-        """Replace the numbers of a point in its declaration by the corrected numbers."""
+        """Replace the numbers of a point in its declaration by the corrected numbers.
+
+        :param use: any of the corrected uses: all have the same numbers.
+        :param aggregate: value of the point in its declaration.
+        """
         # a point that the program text assigns has a row, and changes in the replacements of the rows
         edits = self.replacements[0 if aggregate.row else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
@@ -168,7 +172,7 @@ class NamedPoints(Struct, eq=False):
         return new_name
 
     def _replace_by_literal(self, use: Use) -> None:
-        """Replace a point in a statement by a literal with the numbers of its target; add an issue."""
+        """Replace the point in a statement by a literal with the numbers of its target; add an issue."""
         self.replacements[0].add(use.operand.start, use.operand.stop, use.complete_literal(), use.line)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
         self.issues.append(Issue("info", "point-replaced", message, use.line))
@@ -214,14 +218,16 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
     The same must be true of all variables that it is copied to or from, and none of them may be GLOBAL.
 
     :param name: the variable, upper case.
-    :param mentions: see `mentions`.
+    :param mentions: all places at which code names a variable, see `Mentions`.
     """
-    names, count = {name}, 0
-    while len(names) > count:
-        count = len(names)  # repeat until no further copies are found
-        names |= {name for pair in layout.copies if not names.isdisjoint(pair) for name in pair}
-    is_followed = all(place in layout.followed_names for name in names for place in mentions.get(name, ()))
-    return is_followed and names.isdisjoint(layout.global_names)
+    names = {name}
+    # repeat until no further copies are found
+    while copies := {copy for pair in layout.copies if not names.isdisjoint(pair) for copy in pair} - names:
+        names |= copies
+    places = [place for name in names for place in mentions.get(name, ())]
+    # the reader has followed the use at these places: in motions, or in copies
+    are_followed = layout.followed_names.issuperset(places)
+    return are_followed and names.isdisjoint(layout.global_names)
 
 
 def editable_layout(
@@ -231,7 +237,7 @@ def editable_layout(
 
     Motions to these array elements become `statements`.
 
-    :param mentions: see `mentions`.
+    :param mentions: all places at which code names a variable, see `Mentions`.
     :param file_count: number of files that are written: the `.src` and its `.dat`.
     :param has_one_target: (M,) True for motions with a single target, whose text has all components that it needs.
     """
@@ -239,9 +245,9 @@ def editable_layout(
         return layout
     use_counts = Counter(_literal_places(layout))
     editable_elements, statements, relative_spans = [], dict(layout.statements), layout.relative_spans.copy()
-    for elements in layout.elements:
+    for elements in layout.elements:  # of one array
         is_array_editable = (
-            elements.source.index < file_count
+            elements.source.index < file_count  # the file of its declaration is written
             and layout.carriage is None
             and is_used_by_motions_only(elements.name, layout, mentions)
         )
@@ -250,10 +256,9 @@ def editable_layout(
         editable_elements.append(
             Elements(elements.row[is_editable], elements.literal[is_editable], elements.source, elements.name)
         )
-        relative_spans[elements.row[~is_editable]] = 0
-        for row, literal in zip(
-            elements.row[~is_editable].tolist(), elements.literal[~is_editable].tolist(), strict=True
-        ):
+        other_rows, other_literals = elements.row[~is_editable], elements.literal[~is_editable]
+        relative_spans[other_rows] = 0  # 0: no number is edited in place
+        for row, literal in zip(other_rows.tolist(), other_literals.tolist(), strict=True):
             statements[row] = _statement_of_element(layout, motions, row, elements, literal)
     return replace(
         layout,

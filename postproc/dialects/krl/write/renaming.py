@@ -65,6 +65,9 @@ def _stem(document: Document) -> str:
 def _new_global_names(documents: Sequence[Document], old_base: str, new_base: str) -> dict[str, str]:
     """Return new names for GLOBAL names that begin with the name of their program: old name, upper case → new name.
 
+    The new name begins with the new name of the program. It is cut to `MAX_LENGTH` characters; ``_2``, ``_3`` … at its
+    end make it differ from the other new names.
+
     :param documents: files of the program.
     :param old_base: old name of the program.
     :param new_base: new name of the program.
@@ -89,10 +92,10 @@ def _replace_names(text: str, new_names: Mapping[str, str]) -> str:
     pieces, last = list[str](), 0
     for name, start in scan.name_places(text, new_names):
         next_offset = skip_blanks(text, start + len(name), len(text))
-        bracket = skip_sign(text, next_offset, len(text), "(")
-        if text[next_offset : next_offset + 1] in ("\r", "\n") or (
-            bracket >= 0 and skip_sign(text, bracket, len(text), ")") >= 0
-        ):
+        is_at_line_end = text[next_offset : next_offset + 1] in ("\r", "\n")
+        bracket_stop = skip_sign(text, next_offset, len(text), "(")  # −1: no bracket
+        has_empty_brackets = bracket_stop >= 0 and skip_sign(text, bracket_stop, len(text), ")") >= 0
+        if is_at_line_end or has_empty_brackets:
             pieces += [text[last:start], new_names[name.upper()]]
             last = start + len(name)
     return "".join([*pieces, text[last:]])
@@ -124,7 +127,9 @@ def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[s
 
 
 def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
-    """Return a new name for each subprogram: old name, upper case → old name and program name joined.
+    """Return a new name for each subprogram: old name, upper case → old name and program name, joined by ``_``.
+
+    If this name is in use or longer than `MAX_LENGTH`, it is shortened and ends in ``_2``, ``_3`` …
 
     :param stems: names of the subprograms, as spelled.
     :param program: name of the program.
@@ -193,19 +198,20 @@ def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:
     :param new_names: old name, upper case → new name.
     """
     pieces: list[str] = []
-    last = word_end = 0
-    last_word = ""
+    copied_stop = 0  # offset behind the text that `pieces` contains
+    previous_word, word_stop = "", 0  # the word before, upper case, and the offset behind it
     for word, start in scan.words(text):
-        if word[0] == '"' and not new_names.keys().isdisjoint(names_in(word)):
+        if word[0] == '"' and not new_names.keys().isdisjoint(names_in(word)):  # a string
             return None
-        is_head = last_word in _HEADS and not text[word_end:start].strip(BLANKS)
-        last_word, word_end = word.upper(), start + len(word)
+        is_head = previous_word in _HEADS and not text[word_stop:start].strip(BLANKS)
+        previous_word, word_stop = word.upper(), start + len(word)
         name = new_names.get(word.upper())
         if name is None:
             continue
         is_path = text[max(0, start - len(_FOLDER_PREFIX)) : start].upper() == _FOLDER_PREFIX
-        if not is_head and not is_path and skip_sign(text, word_end, len(text), "(") < 0:
+        is_call = skip_sign(text, word_stop, len(text), "(") >= 0
+        if not (is_head or is_path or is_call):
             return None
-        pieces += [text[last:start], name]
-        last = word_end
-    return "".join([*pieces, text[last:]])
+        pieces += [text[copied_stop:start], name]
+        copied_stop = word_stop
+    return "".join([*pieces, text[copied_stop:]])
