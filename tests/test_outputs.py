@@ -137,7 +137,7 @@ def test_a_program_of_a_stated_dialect_may_have_any_extension(monkeypatch):
     done = invoke("convert", "part.txt", "--dialect", "krl", "-o", "out", cell=CELL_FILE)
     assert done.exit_code == 0, done.output
     assert names() == PART - {"part.src"} | {"part.txt"}
-    assert json.loads(Path("out/part.report.json").read_text())["blending"]["by"] == "C_DIS"
+    assert json.loads(Path("out/part.report.json").read_text())["blending"]["by"] == "approximation (C_DIS)"
 
 
 @pytest.mark.parametrize("text", ["odd", "far"])

@@ -507,11 +507,18 @@ def origin_issues(program: Program, mode: Mode) -> list[Issue]:
 
 
 def tool_change_issues(program: Program, cell: Cell) -> list[Issue]:
-    """Return an error if a program changes to another tool, and the cell does not say how."""
+    """Return what is wrong where a program changes to another tool, and the cell knows one tool only.
+
+    An error if the cell does not say how the tool is changed, else a warning if it has no `[tools.n]`: all tools then
+    have the length of `[tool]`.
+    """
     changes = [event for event in program.events if event.kind == "tool_change"]
     second = next((event for event in changes if event.value != changes[0].value), None)
-    if program.keeps_text or second is None or cell.gcode.tool_change is not None:
+    if program.keeps_text or second is None:
         return []
+    if cell.gcode.tool_change is not None:
+        message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
+        return [] if cell.tools else [Issue("warning", "tool-change", message, second.line)]
     message = (
         f"the program changes from tool {changes[0].value:g} to tool {second.value:g}, but the cell has no tool_change "
         'lines. Give [gcode] tool_change = ["…"], or tool_change = [] if the tool is changed by hand, without a line.'

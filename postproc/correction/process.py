@@ -17,6 +17,7 @@ from postproc import elastostatics, forces, kinematics, placement, toolpath
 from postproc.cell import Cell
 from postproc.chunks import chunks, in_chunks
 from postproc.correction import checks, collisions, inspection, plausibility
+from postproc.correction.dwells import dwell_issues
 from postproc.correction.result import ExpectedErrors, Mode, Result
 from postproc.correction.targets import CommandedPath, Commands, TargetSelection, arc_pieces, choose_targets
 from postproc.correction.verify import (
@@ -297,13 +298,17 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
     cut_length = draft.cut_lengths()
     expectation = _expected_errors(task, corrected_draft, uncorrected.deviation, reversals, cut_length)
     correction = norm(targets.pose.position - path.sample.pose.position[row])
+    issues = [*draft.issues, *expectation.issues, *_frame_questions(task, draft, uncorrected)]
+    if task.mode == "convert":
+        tolerance = path.robot_in_cell.tolerance
+        issues += dwell_issues(program, targets.motion, targets.t, uncorrected.deflection, tolerance)
     result = Result(
         program=program,
         robot=task.robot,
         axis=path.robot_in_cell.spindle,
         mode=task.mode,
         written_dialect=task.written_dialect,
-        issues=group_issues([*draft.issues, *expectation.issues, *_frame_questions(task, draft, uncorrected)]),
+        issues=group_issues(issues),
         motion=targets.motion,
         t=targets.t,
         cut_length=cut_length,

@@ -450,7 +450,7 @@ def test_a_path_has_the_issues_of_all_checks_and_between_samples_those_of_other_
 @pytest.mark.parametrize(
     ("numbers", "keeps_text", "change", "expected"),
     [
-        ([1, 1, 2], False, None, (1, 2)), ([1, 1, 1], False, None, None), ([1, 2], False, [], None),
+        ([1, 1, 2], False, None, (1, 2)), ([1, 1, 1], False, None, None), ([1, 1], False, [], None),
         ([1, 2], True, None, None), ([], False, None, None), ([3, 5, 4], False, None, (3, 5)),
     ],
 )  # fmt: skip
@@ -465,3 +465,15 @@ def test_another_tool_needs_lines_for_its_change(numbers, keeps_text, change, ex
         row = next(k for k, n in enumerate(numbers) if n != numbers[0])
         assert (issues[0].level, issues[0].kind, issues[0].source_line) == ("error", "tool-change", 7 + row)
         assert f"changes from tool {expected[0]} to tool {expected[1]}, but" in issues[0].message
+
+
+@pytest.mark.parametrize(
+    ("tools", "expected"), [({}, [("warning", 8)]), ({"1": cells.Frame(Z=1), "2": cells.Frame(Z=2)}, [])]
+)
+def test_several_tools_need_lengths_of_their_own(tools, expected):
+    events = tuple(Event(before=k, kind="tool_change", value=1.0 + k, line=7 + k) for k in range(2))
+    gcode = replace(CELL_WITH_START.gcode, tool_change=[])
+    issues = inspection.tool_change_issues(
+        replace(PATH.program, events=events, layout=None), replace(CELL_WITH_START, gcode=gcode, tools=tools)
+    )
+    assert [(issue.level, issue.source_line) for issue in issues] == expected

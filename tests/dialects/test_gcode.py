@@ -375,7 +375,6 @@ def test_blending_tolerance_is_in_the_units_of_the_program() -> None:
         ("G0 X0 Y0 Z0\nG1 X2 Y1 F30 (X1.2345)\nX0 Y0\nM30\n", "units", "info", None),
         ("G21 G0 X0 Y0 Z0\n(no end)\n", "program-end", "warning", 2),
         ("G21 G0 X0 Y0 Z0\nM3\nM30\n", "spindle-speed", "warning", 2),
-        ("G21 G0 X0 Y0 Z0\nT1 M6\nT1 M6\nT2 M6\nM30\n", "tool-change", "warning", 4),
     ],
 )
 def test_what_the_user_should_know_is_told(text: str, kind: str, level: str, line: int | None) -> None:

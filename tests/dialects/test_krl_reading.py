@@ -691,6 +691,24 @@ def test_inline_forms_take_points_frames_speed_and_approximation_from_the_data_f
     assert kinds(program) == ["home-from-cell"]
 
 
+SPLINE_HOME = (
+    "SPTP XHOME WITH $VEL_AXIS[1]=SVEL_JOINT(100.0), $TOOL=STOOL2(FHOME), $BASE=SBASE(FHOME.BASE_NO), "
+    "$IPO_MODE=SIPO_MODE(FHOME.IPO_FRAME), $LOAD=SLOAD(FHOME.TOOL_NO), $ACC_AXIS[1]=SACC_JOINT(PDEFAULT), "
+    "$APO=SAPO_PTP(PDEFAULT), $GEAR_JERK[1]=SGEAR_JERK(PDEFAULT), $COLLMON_TOL_PRO[1]=USE_CM_PRO_VALUES(0)"
+)
+
+
+def test_the_home_position_of_an_inline_spline_form_needs_no_frame():
+    """HOME, FHOME and PDEFAULT are in the $config.dat, which a programmer's desk seldom has."""
+    program = read(body(SPLINE_HOME, FULL))
+    assert program.motions.kind.tolist() == [PTP, LIN]
+    np.testing.assert_allclose(np.degrees(program.motions.joints[0]), CELL.start.joints)
+    assert (program.motions.base[1], program.motions.tool[1]) == (0, 0)
+    assert "home-from-cell" in kinds(program)
+    with pytest.raises(ProgramError, match=r"IPO_MODE is not known: FHOME\.IPO_FRAME has"):
+        read(body(FULL.replace("LIN", "SPTP") + " WITH $IPO_MODE=SIPO_MODE(FHOME.IPO_FRAME)"))
+
+
 @pytest.mark.parametrize(
     "lines",
     [

@@ -7,7 +7,6 @@ from msgspec.structs import replace
 from postproc.chunks import Runs
 from postproc.correction import ExpectedErrors
 from postproc.errors import Issue
-from postproc.program import Document
 from postproc.report import page, program_text, summary
 from postproc.report.answers import COLOURS, EXIT_CODES, Remedy
 from postproc.report.summary import Clearance
@@ -246,9 +245,9 @@ def test_the_bound_is_over_cutting_targets():
     assert summary(base).u95 is None
 
 
-@pytest.mark.parametrize(("written", "word"), [("part.src", "(C_DIS)"), ("part.mod", "(zones)")])
+@pytest.mark.parametrize(("written", "word"), [("krl", "(C_DIS)"), ("rapid", "(zones)")])
 def test_rounding_of_corners_is_told_in_the_word_of_the_controller(written, word):
-    changes = {"rounding": np.full(100, 5e-5), "documents": (Document(written, ""),)}
+    changes = {"rounding": np.full(100, 5e-5), "written_dialect": written}
     result = fabricated.with_changes(fabricated.result(), **changes)
     content = summary(result, 1e-5)
     limits = read_page(b"".join(page(result, 1e-5))).text("limits")

@@ -89,7 +89,6 @@ class Switching:
         self._tool: float | None = None
         """Selected by T; M6 mounts it."""
         self._spindle_tool: float | None = None
-        self._mounted: set[float] = set()
 
     def read(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
         """Read the M codes, T and S of a block; add its events and tool changes.
@@ -174,7 +173,6 @@ class Switching:
             self._add_event(row, "spindle_off")
         number = self._tool or 0.0
         self._add_event(row, "tool_change", number)
-        self._mounted.add(number)
         self._spindle_tool = number
         if self._tool is None and self.cell.tools:
             raise BlockError("M6 without a T before it", "Write the number of the tool in [tools]: T1 M6.")
@@ -185,9 +183,6 @@ class Switching:
             if f"{number:g}" not in self.cell.tools:
                 raise BlockError(f"tool {number:g} is not in the cell", f"Give its $TOOL: [tools.{number:g}].")
             self.tools.append((row, number))
-        elif len(self._mounted) > 1:
-            message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
-            self._add_remark("warning", "tool-change", message, row)
 
     def _ignore_spindle_power(self, row: int, m: Sequence[float], values: dict[str, float]) -> None:
         """Ignore P of M3 and M4 with a warning: on Snapmaker machines it is a share of an unknown full speed.

@@ -142,7 +142,9 @@ class MotionReader:
             problem = f"{motion.word}: the target is not known: it is the current robot position"
             raise unresolved_error(place.error(problem, RUN_TIME_ADVICE))
         angle = None if motion.angle is None else self._angle(place, motion.angle)
-        state, is_approximated = self.tail_settings(place, kind, motion.tail, (motion.end, motion.via))
+        state, is_approximated = self.tail_settings(
+            place, kind, motion.tail, (motion.end, motion.via), has_axis_target=end.position.is_axis
+        )
         self._check_axis_target(place, motion.word, kind, end, via)
         try:
             self.settings.refuse_uncertain(
@@ -257,7 +259,13 @@ class MotionReader:
             raise place.error(problem, f"Assign {name} to a variable in a line before, and use that.")
 
     def tail_settings(
-        self, place: Place, kind: int, tail: Tail, points: Sequence[Value | None] = ()
+        self,
+        place: Place,
+        kind: int,
+        tail: Tail,
+        points: Sequence[Value | None] = (),
+        *,
+        has_axis_target: bool = False,
     ) -> tuple[State, bool]:
         """Return the settings in force for one motion, changed by its WITH, and whether `$APO.CDIS` applies to it.
 
@@ -266,6 +274,8 @@ class MotionReader:
         :param kind: kind of the motion: `LIN`, `CIRC`, `PTP` or `SPL`.
         :param tail: WITH and approximation of the motion.
         :param points: target and auxiliary point of the motion; None for a point that it lacks.
+        :param has_axis_target: True for a motion to joint angles, which uses no frame: its `$IPO_MODE` may be unknown,
+            as that of FHOME, which is in the `$config.dat`.
         :raises ProgramError: WITH or the approximation is not understood.
         """
         text, state = place.source.text, self.settings.state
@@ -276,6 +286,8 @@ class MotionReader:
         for item in tail.assignments:
             if not isinstance(item, Assignment):
                 raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
+            if has_axis_target and item.target.name == "$IPO_MODE":
+                continue
             if item.target.name in RELEVANT:
                 self._check_independence_of_with(place, item.target.name, item.value)
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)

@@ -1,0 +1,47 @@
+"""Dwells with the tool in material: the force ends, and a corrected tool goes on to where it is commanded."""
+
+import numpy as np
+import pytest
+
+from tests.placement import setting
+
+HEAD = "G21 G90\nS3000 M3\nG4 P1.0\n(FORCE FX=-110 FY=-190 FZ=330 FRAME=BASE)\nG0 X1300 Y-20 Z60\n"
+
+
+def dwells(text, mode="convert"):
+    result = setting.process_text(HEAD + text, setting.cell(base=(0.0, 0.0, 500.0)), mode=mode)
+    assert not result.failed, result.issues
+    return result, [issue for issue in result.issues if issue.kind == "dwell-in-material"]
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        ("G82 X1300 Y-20 Z0 R20 P1.0 F300\nX1320\nG80\nG0 Z60\n", (6, 7)),
+        ("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", (6,)),
+        ("G1 Z0 F300\nG1 Y20\nG4 P0.5\nG0 Z60\n", (7,)),
+    ],
+)
+def test_a_corrected_program_that_waits_in_material_is_warned_of(text, lines):
+    result, (issue,) = dwells(text)
+    assert (issue.level, issue.source_line, issue.lines) == ("warning", lines[0], lines)
+    ends = np.isin(result.source_line, lines) & (result.t == 1.0) & ~result.rapid
+    beyond = 1e3 * np.linalg.norm(result.deflection[ends], axis=1).max()
+    assert beyond > 0.1
+    assert f"cuts up to {beyond:.2f} mm beyond the nominal one" in issue.message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "G81 X1300 Y-20 Z0 R20 F300\nG80\nG0 Z60\n",
+        "G1 Z0 F300\nG1 Y20\nG0 Z60\nG4 P2.0\n",
+        "(FORCE OFF)\nG1 Z0 F300\nG4 P1.0\n",
+    ],
+)
+def test_where_no_force_ends_in_a_dwell_nothing_is_told(text):
+    assert dwells(text)[1] == []
+
+
+def test_an_uncorrected_program_comes_to_the_nominal_place_while_it_waits():
+    assert dwells("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", "predict")[1] == []
