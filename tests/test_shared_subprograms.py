@@ -94,8 +94,7 @@ def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, t
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 
 
-@pytest.mark.parametrize("jobs", ["1", "2"])
-@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize(("jobs", "before"), [("1", True), ("2", False)])
 def test_in_one_run_the_first_has_the_file_and_the_second_a_copy(jobs, before):
     if before:  # alike then, so that both use it
         for name in ("one", "two"):

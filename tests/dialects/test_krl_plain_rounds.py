@@ -128,6 +128,7 @@ BODIES = [
     ),
     ("IF $IN[1] THEN", "FOR I=1 TO 4", "$VEL.CP=V[I]", TRIGGER, "LIN P[I]", "ENDFOR", "ENDIF", "LIN Q[2] C_DIS"),
     ("FOR I=1 TO 5", "LIN P[I]", "ENDFOR"),
+    ("V[2]=200", "FOR I=1 TO 4", "$VEL.CP=V[I]", "LIN P[I]", "ENDFOR"),  # faster than any robot
     ("FOR I=1 TO 0", "LIN P[I]", "ENDFOR", "LIN P[1]"),
     ("INTERRUPT DECL 4 WHEN $IN[1] DO P[2]=Q[1]", "INTERRUPT ON 4", *LOOP),
     ("INTERRUPT DECL 4 WHEN $IN[1] DO I=2", "INTERRUPT ON 4", *LOOP),

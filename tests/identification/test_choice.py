@@ -241,12 +241,12 @@ def test_members_count_as_non_linear_by_their_gears():
 @pytest.mark.parametrize("shared", [0.0, 0.6])
 def test_the_design_effect_is_the_growth_of_the_variance_of_the_values_by_residuals_that_configurations_share(shared):
     rng = np.random.default_rng(12)
-    design = np.repeat(rng.normal(size=(300, 2)), ROWS, axis=0)  # of one configuration alike
-    config = np.repeat(np.arange(300), ROWS)
+    design = np.repeat(rng.normal(size=(120, 2)), ROWS, axis=0)  # of one configuration alike
+    config = np.repeat(np.arange(120), ROWS)
     influence = np.linalg.pinv(design)
     values, effects = [], []
     for _ in range(300):
-        common = np.repeat(rng.normal(size=300), ROWS)
+        common = np.repeat(rng.normal(size=120), ROWS)
         residual = np.sqrt(shared) * common + np.sqrt(1.0 - shared) * rng.normal(size=len(design))
         values.append(influence @ residual)
         effects.append(

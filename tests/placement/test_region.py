@@ -50,9 +50,9 @@ def in_line(name="kuka_kr270", base=(1400.0, 0.0, 600.0)):
     return replace(own, tool=replace(own.tool, axis="+Z"), gcode=replace(own.gcode, redundancy_deg=180.0))
 
 
-@pytest.mark.parametrize("name", ["kuka_kr270", "abb_irb6700_200_260"])
-def test_the_best_place_is_within_two_percent_of_a_brute_force_grid(name):
-    judged, _, _ = programs(in_line(name))
+def test_the_best_place_is_within_two_percent_of_a_brute_force_grid():
+    """Of an ABB robot: without steps from the best places of grid and slice it would not be."""
+    judged, _, _ = programs(in_line("abb_irb6700_200_260"))
     bounds = Region((700.0, -400.0, 600.0, -30.0, 0.0), (2600.0, 400.0, 600.0, 30.0, 0.0))
     found = region.search(judged, bounds)
     sides = [np.linspace(bounds.low[k], bounds.high[k], {0: 9, 1: 5, 2: 1, 3: 3}[k]) for k in range(4)]
