@@ -57,6 +57,10 @@ _HOLLOW_SHARE = 0.02
 _HIDDEN_SHARE, _NOISE_SHARE = 0.05, 5e-4
 """The same for earlier cuts: this share of what they removed, and of the stock; turned maps of one stock differ by less
 than a fifth of that (assumed)."""
+_LITTLE_CUT = 0.05
+"""Warn if a smaller share of the path at feed cuts (assumed)."""
+_LEAST_FORCE, _LEAST_SHARE = 2.0, 0.02
+"""A place cuts beyond this force [N], or beyond this share of the largest, if that is less (assumed)."""
 _LARGE_RATIO = 5.0
 """Warn if the path is this many times as large as the stock in X and in Y (assumed)."""
 _SAME_DIAMETER = 1e-6
@@ -410,6 +414,7 @@ def _program_issues(task: _Task, swept_program: _SweptProgram) -> list[Issue]:
         *unread_cut_issues(program),
         *shared_cutter_issues(program, tools, engaged_motions),
         *_scale_issues(segments, bounds),
+        *_little_cut_issues(segments, swept_setups.cuts, len(program.motions)),
         *_cut_issues(program, task.law, swept_setups.cuts, tools, process),
         *_coarse_contact_warnings(program, tools, swept_program.thin_passes, swept_program.setups, process.stock),
         *_collision_issues(program, swept_setups.collisions, guard),
@@ -1004,6 +1009,37 @@ def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list
         "a metre 1000)"
     )
     return [Issue("warning", "stock-scale", message)]
+
+
+def _little_cut_issues(segments: StraightSegments, cuts: Cuts, count: int) -> list[Issue]:
+    """Return a warning if hardly any of the path at feed cuts: frame or place of the stock may be wrong.
+
+    :param segments: segments of all motions.
+    :param count: number of motions M.
+    """
+    cutting = segments.take(np.flatnonzero(segments.cutting))
+    length = np.bincount(cutting.motion, norm(cutting.end - cutting.begin), minlength=count)
+    order = np.lexsort((cuts.t, cuts.motion))
+    motion, t, force = cuts.motion[order], cuts.t[order], norm(cuts.wrench[order, :3])
+    # linear between stations, and constant up to the ends of a motion
+    least = min(_LEAST_FORCE, _LEAST_SHARE * force.max(initial=0.0))
+    low, high = np.minimum(force[1:], force[:-1]), np.maximum(force[1:], force[:-1])
+    share = np.where(low > least, 1.0, np.clip((high - least) / np.maximum(high - low, 1e-9), 0.0, 1.0))
+    is_same = np.diff(motion) == 0
+    is_cut, is_first, is_last = force > least, np.append(True, ~is_same), np.append(~is_same, True)
+    cut_length = float(
+        (share * np.diff(t) * length[motion[1:]])[is_same].sum()
+        + (t * length[motion])[is_first & is_cut].sum()
+        + ((1.0 - t) * length[motion])[is_last & is_cut].sum()
+    )
+    path_length = float(length.sum())
+    if least == 0.0 or cut_length >= _LITTLE_CUT * path_length:
+        return []
+    message = (
+        f"{100 * cut_length / path_length:.2g} % of the path at feed cuts: {cut_length * MM_PER_M:.3g} of "
+        f"{path_length * MM_PER_M:.4g} mm. Check frame, place and size of the stock"
+    )
+    return [Issue("warning", "little-cut", message)]
 
 
 def _beside_stock_issues(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import trimesh
@@ -96,7 +98,7 @@ def test_a_tap_has_no_computed_force(tmp_path, shape):
     (warning,) = [issue for issue in threaded.issues if issue.kind == "tap-force"]
     assert (warning.level, warning.source_line) == ("warning", gcode(*holes, *tap).splitlines().index(tap[2]) + 1)
     assert "[operations.T2]" in warning.message
-    assert "drilled-by-mill" not in {issue.kind for issue in threaded.issues}
+    assert {"drilled-by-mill", "little-cut"}.isdisjoint(issue.kind for issue in threaded.issues)
 
 
 def test_a_tool_that_is_not_described(tmp_path):
@@ -167,6 +169,20 @@ def test_a_program_in_inches_that_meets_stock_in_mm_is_told(tmp_path):
     (issue,) = (issue for issue in found.issues if issue.kind == "stock-scale")
     assert "25 times as large as the stock" in issue.message
     assert "an inch is 25.4 mm" in issue.message
+
+
+@pytest.mark.parametrize(("end", "share"), [(900, 3.2), (400, None)])
+def test_a_program_that_cuts_nearly_nothing_is_told_how_much(tmp_path, end, share):
+    """15 mm along X from the rim on, some 20 along Y, then air; rapid moves do not count."""
+    text = gcode("G0 X-800 Y20 Z5", "X-10", "G1 Z-3 F2400", "X10", "Y200", f"X{end}", "G0 Z50")
+    _, found = forces(tmp_path, text, process(tool(10, 4), BOX, 1.0))
+    said = [issue.message for issue in found.issues if issue.kind == "little-cut"]
+    assert bool(said) == (share is not None)
+    if said:
+        percent, cut, whole = re.match(r"(\S+) % of the path at feed cuts: (\S+) of (\S+) mm", said[0]).groups()
+        assert float(percent) == pytest.approx(share, abs=0.3)
+        assert float(cut) == pytest.approx(35, abs=3)
+        assert float(whole) == pytest.approx(8 + 20 + 180 + 890, abs=1)
 
 
 @pytest.mark.parametrize(("limit", "exceeded"), [(0.99, True), (1.01, False)])
