@@ -440,7 +440,8 @@ def part_contacts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contac
     if parts and cutters and rapid.any():
         solids = _solids(scene, cutters, parts)
         for low, high in _stretches(rapid):
-            yield from _contacts_of_solids(solids, replace(states.part(low, high), commanded_q=None), 0.0)
+            nominal_states = replace(states.part(low, high), commanded_q=None)
+            yield from _contacts_of_solids(solids, nominal_states, need=0.0)  # 0: they must not touch
 
 
 class _StockSearch:

@@ -178,10 +178,11 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
     :returns: samples, in no order.
     """
     count = np.bincount(path.sample.motion, minlength=len(path.start))
-    # the points of a line are its start, in a row of its own, and its samples
+    first_sample = (np.cumsum(count) - count)[motions]
+    # the points of a line: its start, in place of the sample before its first, and its samples
     size = count[motions] + 1
     first = np.cumsum(size) - size
-    row = ragged_range(size, (np.cumsum(count) - count)[motions] - 1)
+    row = ragged_range(size, first_sample - 1)
     t, position = path.sample.t[row], path.position[row]
     t[first], position[first] = 0.0, path.start[motions]
     left, right = first, first + size - 1

@@ -603,16 +603,15 @@ class _Folder:
         if self._mode == "predict" or not _may_share(job):
             return Task(job, names)
         records = [
-            Record(
-                record.program,
-                record.folder,
-                {name: file_digest for name, file_digest in record.files.items() if not name.endswith(_REPORTS)},
-                record.copied,
-                report in self._pending,
+            replace(
+                record,
+                files={name: file_digest for name, file_digest in record.files.items() if not name.endswith(_REPORTS)},
+                is_renewed=report in self._pending,
             )
             for report, record in self._records().items()
             if report != job.report_name(self._mode)
         ]
+        # a copy of a subprogram may replace files that an earlier run wrote for the job, and no others
         stems_in_use = {PurePath(name).stem.lower() for record in records for name in record.files} | names
         stems_in_use |= {path.stem.lower() for path in self._path.glob("*") if path.name not in self._job_files(job)}
         return Task(job, names, tuple(record for record in records if record.files), frozenset(stems_in_use))

@@ -259,7 +259,8 @@ def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable]
 def _sigma_percent(material: MaterialTable, entry: MaterialTable) -> float:
     """Return the standard deviation of the forces [%].
 
-    It is that of `material` if stated. Else it is that of `entry`, or the default, with the spread by wear added.
+    :param material: `[material]` of the process: what it states holds as it is.
+    :param entry: the table with the coefficients: to what it states, or the default, the spread by wear is added.
     """
     if material.sigma_percent is not None:
         return material.sigma_percent

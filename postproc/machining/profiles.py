@@ -198,11 +198,12 @@ def _knot_places(is_long: Bools, reach: Array, first: Ints, t: Array) -> tuple[I
     """
     rows = np.arange(len(first))
     count = np.diff(first, append=len(t))
-    row = np.repeat(rows, count)
+    row = np.repeat(rows, count)  # number of the motion of each station
+    has_rise_end = reach < 1.0
     # stations between the end of the rise and the end of the motion; 1e-9: not at the end of the rise itself
-    is_inner = (t > np.where(reach < 1.0, reach, 0.0)[row] + 1e-9) & (t < 1.0) & ~(count == 1)[row]
-    is_inner &= ((reach < 1.0) | is_long)[row]
-    rise_rows = np.flatnonzero(reach < 1.0)
+    is_inner = (t > np.where(has_rise_end, reach, 0.0)[row] + 1e-9) & (t < 1.0)
+    is_inner &= ((count > 1) & (has_rise_end | is_long))[row]
+    rise_rows = np.flatnonzero(has_rise_end)
     row_of_place = np.concatenate([rows, rise_rows, row[is_inner], rows])
     places = np.concatenate([np.zeros(len(rows)), reach[rise_rows], t[is_inner], np.ones(len(rows))])
     order = np.lexsort((places, row_of_place))

@@ -828,6 +828,9 @@ def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> _Coverage:
 def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> None:
     """Cut shares of cells down to levels, in place; cut areas of a cell are assumed nested, the smaller in the larger.
 
+    The new share of a cell is the larger of both shares, and its lower level the mean over that area: where both cuts
+    overlap the deeper one counts, elsewhere the only one.
+
     :param cell: (k,) index in the flat map, each once.
     :param coverage: (k,) share of the cell that the cylinder covers, and `level` (k,) its lower side there [m].
     """
@@ -835,12 +838,11 @@ def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> N
     high, low, share = flat_high[cell], flat_low[cell], flat_share[cell]
     is_cut = level < high
     low = np.where(share > 0.0, np.minimum(low, high), high)  # a cell without a share has one level
-    overlap = np.minimum(share, coverage)
-    union = np.maximum(share, coverage)
-    # level of the part of the union that only one of the cuts covers
-    single_level = np.where(share > coverage, low, np.minimum(level, high))
+    overlap, union = np.minimum(share, coverage), np.maximum(share, coverage)
+    single_level = np.where(share > coverage, low, np.minimum(level, high))  # where only one of the cuts is
     level_sum = overlap * np.minimum(low, level) + (union - overlap) * single_level
     flat_low[cell] = np.where(is_cut, level_sum / np.maximum(union, np.float32(1e-6)), low)
     flat_share[cell] = np.where(is_cut, union, share)
-    flat_high[cell] = np.where(is_cut & (coverage > _WHOLE_SHARE), level, high)
-    stock.slope.reshape(-1, 2)[cell[is_cut & (coverage > _WHOLE_SHARE)]] = 0  # else the slope is of the part not cut
+    is_cut_whole = is_cut & (coverage > _WHOLE_SHARE)
+    flat_high[cell] = np.where(is_cut_whole, level, high)
+    stock.slope.reshape(-1, 2)[cell[is_cut_whole]] = 0  # other cells keep the slope of the part that is not cut

@@ -220,24 +220,12 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     """
     part, reasons = content.part, _path_reasons(content)
     if part.tolerance_mm is None or _is_corrected_input(content):
-        if not reasons or content.tolerance_mm is None:
-            return None
-        percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
-        return Tolerance(
-            state="failed",
-            of="path",
-            mm=content.tolerance_mm,
-            held=False,
-            beyond_percent=percent,
-            would_help=[],
-            reasons=reasons,
-        )
+        return _missed_path_tolerance(result, content, reasons)
     is_frame_unknown = any(issue.kind == _FRAMES_AT_REST for issue in result.issues)
     if part.held is None or part.expected_mm is None or (part.held and is_frame_unknown):
-        state: State = "failed" if reasons else "warning"
         unknown_reason = _UNKNOWN_UNCERTAINTY if part.held is None else _UNKNOWN_FRAMES
         return Tolerance(
-            state=state,
+            state=_state(reasons, [unknown_reason]),
             of="part",
             mm=part.tolerance_mm,
             held=None,
@@ -247,7 +235,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         )
     if part.held:
         return Tolerance(
-            state="failed" if reasons else "ok",
+            state=_state(reasons, []),
             of="part",
             mm=part.tolerance_mm,
             held=True,
@@ -255,11 +243,37 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
             would_help=[],
             reasons=reasons,
         )
-    actions = [
-        remedy
-        for remedy in (*_remedies(result, content), *other_remedies)
-        if remedy.expected_mm < _REMEDY_SHARE * part.expected_mm
-    ]
+    return _missed_part_tolerance(part, [*_remedies(result, content), *other_remedies], reasons)
+
+
+def _missed_path_tolerance(result: Result, content: Summary, reasons: list[str]) -> Tolerance | None:
+    """Return the answer that the path does not hold its tolerance; None if it holds it or has none.
+
+    :param reasons: see `_path_reasons`.
+    """
+    if not reasons or content.tolerance_mm is None:
+        return None
+    percent = 100.0 * share_beyond(result.after * MM_PER_M, content.tolerance_mm, result.cut_length)
+    return Tolerance(
+        state="failed",
+        of="path",
+        mm=content.tolerance_mm,
+        held=False,
+        beyond_percent=percent,
+        would_help=[],
+        reasons=reasons,
+    )
+
+
+def _missed_part_tolerance(part: OnPart, remedies: Sequence[Remedy], reasons: list[str]) -> Tolerance:
+    """Return the answer that the tolerance of the part is not held.
+
+    :param part: states the tolerance and the expected error, which is larger.
+    :param remedies: those that lower the expected error noticeably are stated.
+    :param reasons: why the path does not hold its tolerance, see `_path_reasons`.
+    """
+    assert part.tolerance_mm is not None  # the caller has checked both
+    assert part.expected_mm is not None
     text = (
         f"the expected error on the part is up to {above_limit_text(part.expected_mm, part.tolerance_mm)} mm (95 %, "
         f"corners and path included), more than the {part.tolerance_mm:g} mm of [part] tolerance_mm, on "
@@ -271,7 +285,7 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
         mm=part.tolerance_mm,
         held=False,
         beyond_percent=part.beyond_percent,
-        would_help=actions,
+        would_help=[remedy for remedy in remedies if remedy.expected_mm < _REMEDY_SHARE * part.expected_mm],
         reasons=[_with_line(text, part.source_line), *reasons],
     )
 
@@ -400,7 +414,10 @@ def _percent_digits(percent: float | None) -> str:
     :param percent: must be known, not None.
     """
     assert percent is not None
-    return f"{percent:.2g}" if percent < 9.95 else f"{percent if percent == 100.0 else min(percent, 99.0):.0f}"
+    if percent < 9.95:
+        return f"{percent:.2g}"
+    shown_percent = percent if percent == 100.0 else min(percent, 99.0)
+    return f"{shown_percent:.0f}"
 
 
 def _no_force_sentence(result: Result, content: Summary) -> str:

@@ -223,6 +223,8 @@ _COMPARISON, _SUM, _PRODUCT = 2, 3, 4
 _END_WORDS = {"ENDIF", "ELSE", "ELSEIF", "ENDFOR", "ENDWHILE", "ENDTEST", "CASE", "DEFAULT", "ENDPROC", "ENDFUNC"}
 _END_WORDS |= {"ENDTRAP", "ERROR", "UNDO", "BACKWARD", "ENDMODULE"}
 _DATA_KINDS = ("CONST", "PERS", "VAR")
+_KEYWORD_BEHIND_SCOPE = re.compile(r"\w+[ \t\r\n]+(?:TASK[ \t\r\n]+)?(\w+)", re.IGNORECASE)
+"""LOCAL, TASK or both, and the word behind them, such as PROC."""
 _MAX_DEPTH = 200
 """Largest number of nested expressions and blocks: no program has more; more would exceed the limit of recursion."""
 
@@ -717,8 +719,7 @@ class Parser:
             self._take_comments()
             keyword = self.word
             if keyword in ("LOCAL", "TASK"):
-                # the word behind LOCAL or TASK
-                match = re.compile(r"\w+[ \t\r\n]+(?:TASK[ \t\r\n]+)?(\w+)", re.IGNORECASE).match(self.text, self.start)
+                match = _KEYWORD_BEHIND_SCOPE.match(self.text, self.start)
                 keyword = "" if match is None else match[1].upper()
             if keyword in _DATA_KINDS:
                 declaration = self.declaration()

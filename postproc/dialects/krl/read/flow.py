@@ -471,20 +471,30 @@ class Flow:
             self._follow_branches(source, block, recorder, occasion, cause)
             return
         part = block.parts[part_index] if part_index >= 0 else None
-        # only the lines of `part` run; heads control execution, all other lines are passed over
         if recorder is not None:
-            recorder.record_run_lines(block.first - 1)
-            recorder.record_passed_lines(block.first)
-            if part is not None:
-                recorder.record_passed_lines(part.head - 1, is_live=False)
-                recorder.record_passed_lines(part.head)
-        if part is not None:
+            self._follow_recorded_branch(source, block, part, recorder)
+        elif part is not None:
             self.follow(source, part.nodes)
-        if recorder is not None:
-            if part is not None and not self.run.level.is_broken_off:
+
+    def _follow_recorded_branch(self, source: Source, block: Block, part: Part | None, recorder: Recorder) -> None:
+        """Follow the branch of an IF or SWITCH that is taken, and record all lines of the structure.
+
+        The lines of the branch run. The lines that begin the structure and the branch, and the last line, control
+        execution. The others do not run.
+
+        :param part: the branch; None if no branch is taken.
+        :raises InexactError: a statement of the branch cannot be followed exactly.
+        """
+        recorder.record_run_lines(block.first - 1)
+        recorder.record_passed_lines(block.first)
+        if part is not None:
+            recorder.record_passed_lines(part.head - 1, is_live=False)
+            recorder.record_passed_lines(part.head)
+            self.follow(source, part.nodes)
+            if not self.run.level.is_broken_off:
                 recorder.record_run_lines(part.end - 1)
-            recorder.record_passed_lines(block.last - 1, is_live=False)
-            recorder.record_passed_lines(block.last)
+        recorder.record_passed_lines(block.last - 1, is_live=False)
+        recorder.record_passed_lines(block.last)
 
     def _follow_branches(
         self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError

@@ -189,6 +189,7 @@ def predecessors_and_joins(
 
     Joins at which branches may end in different poses are left out.
 
+    :param sequence: the M motions, in the order of the trace.
     :param predecessors: (M,) the motion at whose end each would begin if branches ran one after the other; None: the
         motion before it. Returned unchanged for a trace without branches.
     :param kept_lines: lines of uncorrected motions.
@@ -424,6 +425,7 @@ def check_joins(
     """Refuse branches that end in different poses.
 
     :param joins: the joins at which branches must end in one pose.
+    :param motions: the M motions of the program.
     :param carriage: the linear axis that carries the robot; None without one.
     :param path: frames of the program and flange at its start.
     :raises BranchError: the ends of the branches of a fork differ.

@@ -6,7 +6,6 @@ from bisect import bisect_left, bisect_right
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
-from operator import attrgetter, itemgetter
 
 import numpy as np
 from msgspec import Struct
@@ -362,17 +361,13 @@ class MainRoutine:
         :param lines: the rows of the step that are run one by one.
         """
         run = self.run
-        nodes: list[tuple[int, Node | PlainRounds]] = [
-            (node if isinstance(node, int) else node.first, node) for node in nodes_of(run.trace, lines)
-        ]
+        nodes: list[Node | PlainRounds] = [*nodes_of(run.trace, lines)]
         # plain rounds that begin in the step; they ascend by their first rows
-        begin, end = (bisect_left(self._plain_rounds, row, key=attrgetter("first")) for row in (step.first, step.last))
+        begin, end = (bisect_left(self._plain_rounds, row, key=_first_row) for row in (step.first, step.last))
         if begin < end:
-            nodes = sorted(
-                [*nodes, *((rounds.first, rounds) for rounds in self._plain_rounds[begin:end])], key=itemgetter(0)
-            )
-        for line, node in nodes:
-            run.settings.apply_assignments_before(line)
+            nodes = sorted([*nodes, *self._plain_rounds[begin:end]], key=_first_row)
+        for node in nodes:
+            run.settings.apply_assignments_before(_first_row(node))
             if isinstance(node, PlainRounds):
                 self._follow_rounds(node)
                 continue
@@ -422,13 +417,14 @@ class MainRoutine:
 
         :param number: value to which the row sets the counter of plain rounds; None for other rows.
         """
-        row = node.first if isinstance(node, Block) else node
+        row = _first_row(node)
         place = self.run.go_to_row(row)
         if number is None:
             number = self.course.count_of_row.get(row)
-        if number is None:
+        if number is None:  # the row does not set a counter
             # `Flow` takes lines of the file in place of rows
-            self._flow.follow(place.source, (node.shifted(-self.run.shift) if isinstance(node, Block) else place.line,))
+            file_node = node.shifted(-self.run.shift) if isinstance(node, Block) else place.line
+            self._flow.follow(place.source, (file_node,))
             self.run.level.is_left = False  # the next row of the trace is the one that runs after EXIT
             return
         stmt = statement(place.source, place.line)
@@ -549,6 +545,11 @@ class MainRoutine:
         """
         self._flow.interpreter.follow_functions(place, stmt.values)
         self._collected.take_motion(place, stmt)
+
+
+def _first_row(node: Node | PlainRounds) -> int:
+    """Return the row of the trace at which a statement (given by its row), a control structure or rounds begin."""
+    return node if isinstance(node, int) else node.first
 
 
 def _split_plain_settings(

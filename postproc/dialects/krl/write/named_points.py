@@ -286,18 +286,20 @@ def _element_places(elements: Elements) -> Iterator[_TextPlace]:
 def _statement_of_element(
     layout: Layout, motions: Motions, row: int, elements: Elements, literal: Sequence[int]
 ) -> MotionStatement:
-    """Return the statement of motion `row`, whose target is an array element.
+    """Return the statement of motion `row`, whose target is an array element: a plain motion without other points.
 
+    :param elements: the elements of this array that are targets.
     :param literal: span of the aggregate in the declaration of the element.
     """
     start, stop = layout.target[row].tolist()
     tail_start, tail_stop = layout.tail[row].tolist()
-    keyword = int(layout.keyword[row])
+    keyword_start = int(layout.keyword[row])
+    keyword = word_at(layout.source(row).text, keyword_start, start)  # such as LIN
     position = position_from_aggregate(parse_aggregate(elements.source, *literal))
     return MotionStatement(
         line=int(layout.line[row]),
         kind=int(motions.kind[row]),
-        keyword=(keyword, keyword + len(word_at(layout.source(row).text, keyword, start))),
+        keyword=(keyword_start, keyword_start + len(keyword)),
         end=Point(position, start, stop, elements.name),
         relative_axes="",
         via=None,
