@@ -91,9 +91,9 @@ class PathForces(Struct, frozen=True, eq=False):
     def spread_in_root(self, sample: Toolpath) -> Array | None:
         """Return L of covariances L·Lᵀ of the wrench at samples, root axes; None if forces are certain.
 
-        :returns: (N, 6, 6) if components are independent. (N, 6, 13) if their errors may also be one factor, for two
-            covariances, see `elastostatics.position_bound`. First come six columns for independent components. Then
-            come six columns for the errors that the factor does not contain, and one column for the factor.
+        :returns: (N, 6, 6): six columns for independent errors of the components. If the wrench may have an unknown
+            factor, (N, 6, 13), as `elastostatics.position_bound` takes them: behind these columns are six for the
+            errors that the factor does not contain, and one for the factor.
         """
         spread = self.spread_at(sample)
         if spread is None:

@@ -142,11 +142,11 @@ def _has_same_sources(task: Task, paths: Sequence[Path]) -> bool:
     """
     writer = task.job.writer
     paths = sorted(paths, key=lambda path: path.suffix.lower() != writer.extension)  # the .src first
-    contents = [_intact_content(task.records, path.name) for path in paths]
-    if contents[0] is None or None in contents:
+    main_content, *other_contents = (_intact_content(task.records, path.name) for path in paths)
+    if main_content is None or None in other_contents:
         return False
     try:
-        origin = writer.origin([decode(paths[0].name, contents[0])])
+        origin = writer.origin([decode(paths[0].name, main_content)])
         return origin.sums.get("source") == digest(path.read_bytes() for path in paths)
     except (OSError, ProgramError):
         return False
@@ -722,14 +722,18 @@ def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
 
 
 def _obsolete_names(job: Job, mode: Mode, new_names: Iterable[str]) -> list[str]:
-    """Return the names of files of an earlier run of a job that this run does not write and does not read."""
+    """Return the names of files of an earlier run of a job that this run does not write and does not read.
+
+    :param new_names: names of the files that this run writes.
+    """
     lower_names = {name.lower() for name in new_names}
     inputs = {_path_key(path) for path in job.input_files()}
+    earlier_names = _existing_names(job, recorded_files(job.output / job.report_name(mode)))
     return [
         name
-        for name in _existing_names(job, recorded_files(job.output / job.report_name(mode)))
+        for name in earlier_names
         if name.lower() not in lower_names
-        and PurePath(name).name == name
+        and PurePath(name).name == name  # not outside of the output folder
         and _path_key(job.output / name) not in inputs
     ]
 

@@ -120,20 +120,13 @@ def smooth_steps(
     :param base_axes: True: return wrenches in `$BASE` axes, except where FEED axes turn along a motion. False: in FEED
         axes, except on moves along the spindle, whose wrenches are in `$BASE` axes.
     """
-    program, path = poses.program, poses.path
     first = np.flatnonzero(np.diff(stations.motion, prepend=-1))  # first station of each motion
     has_one_station = np.diff(first, append=len(stations.motion)) == 1
     motions, places, values, independent_deviation = _continuous_stations(poses, stations, first, rise)
     axial_deviation = axial_sigma * norm(values[:, :2])
     axes, is_axial = _feed_axes(poses, motions, places)
-    # each motion has a run of `count` knots: what holds for the motion or for its last knot is repeated for all
-    count = np.diff(np.flatnonzero(np.diff(motions, prepend=-1)), append=len(motions))
-    is_constant = np.repeat(has_one_station, count)
-    ends_axially = is_axial[np.repeat(np.cumsum(count) - 1, count)]
-    turns_axes = (program.motions.kind[motions] == CIRC) | (path.turn[motions] > AXIS_TOLERANCE)
-    # stations are thinned where the wrench is linear in FEED axes: where these turn, it is not linear in $BASE
-    is_in_base = (ends_axially & ~(is_constant & turns_axes)) | (~turns_axes & base_axes)
-    to_base = _map_axes_in_base(program, motions[is_in_base], poses.frame) @ axes[is_in_base]
+    is_in_base = _are_in_base_axes(poses, motions, is_axial, has_one_station, base_axes=base_axes)
+    to_base = _map_axes_in_base(poses.program, motions[is_in_base], poses.frame) @ axes[is_in_base]
     values[is_in_base] = _rotated_wrenches(to_base, values[is_in_base])
     independent_deviation[is_in_base] = _rotated_deviations(to_base, independent_deviation[is_in_base])
     deviation = np.hypot(np.abs(values) * sigma, independent_deviation)
@@ -141,6 +134,26 @@ def smooth_steps(
     deviation[:, 2] = np.hypot(deviation[:, 2], axial_deviation)
     factor = constant(sigma, len(motions))
     return Knots.along(motions, places, values, np.where(is_in_base, BASE, FEED), deviation, factor)
+
+
+def _are_in_base_axes(
+    poses: ToolPoses, motions: Ints, is_axial: Bools, has_one_station: Bools, *, base_axes: bool
+) -> Bools:
+    """Return True for knots (K,) whose wrenches `smooth_steps` returns in `$BASE` axes, False for FEED axes.
+
+    A wrench that is linear in FEED axes is not linear in `$BASE` axes where these turn along a motion.
+
+    :param motions: (K,) motion of each knot.
+    :param is_axial: (K,) True where the travel at the knot is along the spindle.
+    :param has_one_station: (k,) True for cutting motions with a constant wrench.
+    :param base_axes: see `smooth_steps`.
+    """
+    # each motion has a run of `count` knots: what holds for the motion or for its last knot is repeated for all
+    count = np.diff(np.flatnonzero(np.diff(motions, prepend=-1)), append=len(motions))
+    is_constant = np.repeat(has_one_station, count)
+    ends_axially = is_axial[np.repeat(np.cumsum(count) - 1, count)]
+    turns_axes = (poses.program.motions.kind[motions] == CIRC) | (poses.path.turn[motions] > AXIS_TOLERANCE)
+    return np.asarray((ends_axially & ~(is_constant & turns_axes)) | (~turns_axes & base_axes))
 
 
 def _continuous_stations(poses: ToolPoses, stations: Stations, first: Ints, rise: Array) -> Stations:

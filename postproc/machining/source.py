@@ -109,6 +109,7 @@ def _named_marks(
     :param blocks: digits of an N word → number of its entry.
     """
     operation_marks = [
+        # −1: no entry has the name of the operation, so that forces end where it begins
         _Mark(operation.first, _OPERATION_RANK, titles.get(_normal_text(operation.name), -1))
         for operation in program_operations
     ]

@@ -544,19 +544,20 @@ def _corner_side(cutter: Cutter, axial: Array, az: Array, square: Array, chords:
 def _surface_distances(cutter: Cutter, z: Array, axial: Array, az: Array, square: Array) -> Array:
     """Return the distances (n,) [m] of points from the surface of a tool with a rounded corner, < 0 inside.
 
+    The tool is all that is within the radius of the corner of an inner cylinder without a rounded corner. The radius of
+    the inner cylinder is smaller by the radius of the corner, and its end is higher by it.
+
     :param z: (n,) heights on vertical lines above the tip [m].
     :param axial: (n,) component along the axis of the points of the lines at the height of the tip [m], `az` (n,) z of
         the axis, `square` (n,) squares of the horizontal distances of the lines from the tip [m²].
     """
     height = axial + z * az  # along the axis
-    # from the circle of the middles of the round: outwards and downwards; inside of both, the larger one is nearest
+    # how far a point is outside of the side of the inner cylinder, and of its end
     radial_excess = np.sqrt(np.maximum(square + z * z - height * height, 0.0)) - (cutter.radius - cutter.corner)
     axial_excess = cutter.corner - height
-    return np.asarray(
-        np.hypot(np.maximum(radial_excess, 0.0), np.maximum(axial_excess, 0.0))
-        + np.minimum(np.maximum(radial_excess, axial_excess), 0.0)
-        - cutter.corner
-    )
+    outer_distance = np.hypot(np.maximum(radial_excess, 0.0), np.maximum(axial_excess, 0.0))  # 0 inside
+    inner_distance = np.minimum(np.maximum(radial_excess, axial_excess), 0.0)  # from the nearer one; 0 outside
+    return np.asarray(outer_distance + inner_distance - cutter.corner)
 
 
 def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> EngagedEdge:

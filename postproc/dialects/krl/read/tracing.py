@@ -111,7 +111,7 @@ class Recorder:
         self._open_routines = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
     def shift_and_shown_line(self, line: int) -> tuple[int, int]:
-        """Return the row of the trace minus the line, and the line to report, for a line of the present routine.
+        """Return for a line of the present routine its row of the trace minus the line, and the line to report.
 
         :param line: a line that will be recorded next, or after lines up to it.
         :returns: the line to report is the line itself; in routines of other files it is that of their call in the
