@@ -75,21 +75,22 @@ GLOBAL = "DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\nGLOBAL DEF other()\
 
 
 @pytest.mark.parametrize(
-    ("sub", "two"),
+    ("sub", "two", "reason"),
     [
-        (GLOBAL, ""),  # the controller would know other() twice
-        ("", 'CWRITE($CMD,STAT,MODE,"RUN sub")\n'),
+        (GLOBAL, "", "GLOBAL DEF other() in sub.src would exist twice"),
+        ("", 'CWRITE($CMD,STAT,MODE,"RUN sub")\n', "two.src uses its name in another way than to call it"),
     ],
 )
 @pytest.mark.parametrize("more", [[], ["--overwrite"]])
-def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, two):
+def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, two, reason):
     if sub:
         Path("sub.src").write_text(sub)
     Path("two.src").write_text(Path("two.src").read_text().replace("sub()\n", f"sub()\n{two}"))
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
     told = run("convert", "two.src", "-o", "out", *more, code=1).stderr
-    assert "out/sub.src: this file was written for one, which needs it too, and is corrected differently" in told
+    problem = "out/sub.src: this file was written for one, which needs it too, and is corrected differently for two"
+    assert f"{problem}. A copy of it for two is not possible: {reason}" in " ".join(told.split())
     assert "another folder with -o" in told
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
 

@@ -170,7 +170,15 @@ def _print_outcomes(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, as_json
         names = ", ".join(Path(path).name for path in outcomes[0].written_files)
         click.echo(f"written to {jobs[0].output}: {names}")
     elif len(outcomes) > 1:
-        rows = [report.ProgramRow(outcome.program, outcome.summary, _outcome_text(outcome)) for outcome in outcomes]
+        rows = [
+            report.ProgramRow(
+                outcome.program,
+                outcome.summary,
+                _outcome_text(outcome),
+                is_skipped=outcome.is_skipped,
+            )
+            for outcome in outcomes
+        ]
         click.echo(report.programs_table(rows, display()))
         for page in dict.fromkeys(job.output / "index.html" for job in jobs):
             if page.is_file():

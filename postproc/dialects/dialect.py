@@ -193,14 +193,14 @@ class Calling(Protocol):
         stems: Sequence[str],
         program: str,
         used_names: Collection[str],
-    ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
-        """Return the files of a program with other names for some of its subprograms; None if that is not possible.
+    ) -> tuple[tuple[Document, ...], dict[str, str]] | str:
+        """Return the files of a program with other names for some of its subprograms.
 
         :param documents: files of the program and of its subprograms, the main file first.
         :param unchanged: contents of files that are written with them and must not change.
         :param stems: names of the files to be renamed, without extension.
         :param program: name of the program, which becomes a part of the new names.
         :param used_names: names of other files, without extension, lower case.
-        :returns: the files, and new file name → old file name.
+        :returns: the files, and new file name → old file name; the reason if that is not possible.
         """
         ...

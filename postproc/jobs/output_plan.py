@@ -224,15 +224,17 @@ def copy_subprograms(
     :raises InputError: a file that differs is not only a subprogram, or cannot have another name.
     """
     job, dialect = task.job, registry.dialect_of_name(task.job.dialect)
+    reason = ""
     if isinstance(dialect, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
         renamed_files = dialect.copy_subprograms(documents, [*copies.values()], stems, job.stem, set(task.used_names))
-        if renamed_files is not None:
+        if not isinstance(renamed_files, str):
             return renamed_files
+        reason = f". A copy of it for {job.stem} is not possible: {renamed_files}"
     name, owner = next(iter(program_of_file.items()))
     difference = "stays as it is" if name in copies else "is corrected differently"
     raise InputError(
-        f"this file was written for {owner}, which needs it too, and {difference} for {job.stem}",
+        f"this file was written for {owner}, which needs it too, and {difference} for {job.stem}{reason}",
         file=str(job.output / name),
         advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
         f"a {name} of its own.",

@@ -160,11 +160,13 @@ class ProgramRow(NamedTuple):
     :param name: of the program.
     :param content: its summary; None: the program was not written.
     :param outcome: result in one word.
+    :param is_skipped: True if nothing had to be written for it: programs that call it are written with it.
     """
 
     name: str
     content: Summary | None
     outcome: str
+    is_skipped: bool = False
 
 
 def programs_table(rows: Sequence[ProgramRow], display: Display = PLAIN) -> str:
@@ -174,7 +176,7 @@ def programs_table(rows: Sequence[ProgramRow], display: Display = PLAIN) -> str:
     """
     head = ("program", "targets", "uncorrected [mm]", "corrected [mm]", "better", "tolerance", "verdict", "result")
     cells: list[tuple[str, ...]] = []
-    for name, content, outcome in rows:
+    for name, content, outcome, _ in rows:
         if content is None:
             cells.append((name, *("-",) * 6, outcome))
             continue
@@ -182,23 +184,26 @@ def programs_table(rows: Sequence[ProgramRow], display: Display = PLAIN) -> str:
         cells.append(
             (name, str(content.targets), *_error_texts(content.verdict), tolerance, _verdict_word(content), outcome)
         )
-    summaries = [content for _, content, _ in rows if content is not None]
+    summaries = [row.content for row in rows if row.content is not None]
     if len(rows) > 1 and summaries:
-        cells.append(_totals_row(summaries, len(rows)))
+        cells.append(_totals_row(summaries, len(rows), sum(row.is_skipped for row in rows)))
     return "\n".join([display.table(head, cells, right=range(1, 6)), *_reason_lines(rows)])
 
 
-def _totals_row(summaries: Sequence[Summary], count: int) -> tuple[str, ...]:
+def _totals_row(summaries: Sequence[Summary], count: int, skipped_count: int) -> tuple[str, ...]:
     """Return the last row of the table of programs: number of targets, largest errors, and the count of each verdict.
 
     :param summaries: summaries of the programs that were written, at least one.
     :param count: number of all programs, including those that were not written.
+    :param skipped_count: number of programs for which nothing had to be written.
     """
     answers = [better for content in summaries if (better := content.verdict.better) is not None]
     uncorrected = _largest_length_text([answer.uncorrected_mm for answer in answers])
     corrected_text = _largest_length_text([answer.corrected_mm for answer in answers])
     words = [_verdict_word(content) for content in summaries]
-    counts = [f"{count - len(summaries)} not written"] if count > len(summaries) else []
+    missing_count = count - len(summaries) - skipped_count
+    counts = [f"{missing_count} not written"] if missing_count else []
+    counts += [f"{skipped_count} with callers"] if skipped_count else []
     counts += [f"{words.count(word)} {word}" for word in (*_VERDICT_WORDS.values(), _NO_FORCES) if word in words]
     targets = str(sum(content.targets for content in summaries))
     return (f"all {count}, at most", targets, uncorrected, corrected_text, "", "", "", ", ".join(counts))
@@ -253,7 +258,7 @@ def _reason_lines(rows: Sequence[ProgramRow]) -> list[str]:
     Only the first reason of each verdict counts. At most `_MOST_REASONS` have a line; a last line counts the others.
     """
     programs: dict[str, list[str]] = {}
-    for name, content, _ in rows:
+    for name, content, *_ in rows:
         if content is not None and content.verdict.state != "ok":
             programs.setdefault(content.verdict.reasons[0], []).append(name)
     lines = []

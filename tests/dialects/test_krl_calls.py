@@ -552,6 +552,14 @@ def test_the_place_of_an_external_axis_in_a_subprogram_is_told_at_its_line():
     assert about(read_lines(*lines, subs=subs), "external-axis") == [("E1", 10)]
 
 
+@pytest.mark.parametrize("head", ["DEFFCT INT[ VALUES()", "GLOBAL DEFFCT E6POS[ VALUES(I:IN)"])
+def test_a_function_whose_type_has_an_open_bracket_is_refused_at_its_line(head):
+    with pytest.raises(ProgramError, match=r"the bracket \[ is not closed") as caught:
+        read_lines("LIN XP1", subs=f"{head}\nRETURN(I)\nENDFCT\n")
+    assert (caught.value.line, caught.value.text) == (6, head)
+    assert len(read_lines("LIN XP1", subs=head.replace("[", "[]") + "\nRETURN(I)\nENDFCT\n").motions) == 1
+
+
 SHOW_PART = "DEF SHOWPART(N:IN)\nINT N\n$OUT[N]=TRUE\nEND\n"
 
 

@@ -128,6 +128,16 @@ def test_of_many_reasons_eight_are_printed_and_the_others_counted(count, last):
     )
 
 
+def test_subprograms_that_are_written_with_their_callers_do_not_count_as_not_written():
+    content = summary(fabricated.result())
+    skipped = [ProgramRow(name, None, "skipped: a subprogram", is_skipped=True) for name in ("sub.src", "subs.src")]
+    totals = programs_table([ProgramRow("a.src", content, "written"), *skipped]).splitlines()[4]
+    assert "2 with callers" in totals
+    assert "not written" not in totals
+    totals = programs_table([ProgramRow("a.src", content, "written"), ProgramRow("b.src", None, "FAILED"), *skipped])
+    assert "1 not written, 2 with callers" in totals.splitlines()[5]
+
+
 def test_programs_with_the_same_first_reason_share_a_line():
     content = summary(fabricated.result(), 1e-5)
     verdicts = {

@@ -225,10 +225,10 @@ class Krl:
         stems: Sequence[str],
         program: str,
         used_names: Collection[str],
-    ) -> tuple[tuple[Document, ...], dict[str, str]] | None:
+    ) -> tuple[tuple[Document, ...], dict[str, str]] | str:
         """Return the files of a program with other names for some of its subprograms, see `write.subprogram_copies`.
 
-        :returns: the files, and new file name → old file name; None if the names cannot be changed.
+        :returns: the files, and new file name → old file name; the reason if the names cannot be changed.
         """
         return write.subprogram_copies(documents, unchanged, stems, program, used_names)
 

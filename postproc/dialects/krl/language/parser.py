@@ -186,7 +186,10 @@ def _definition(code: _Code) -> Statement:
         if not result_type:
             return _ordinary_statement(code)
         if name_start < stop and text[name_start] == "[":  # the type is an array
-            name_start = skip_blanks(text, text.find("]", name_start, stop) + 1, stop)
+            bracket = text.find("]", name_start, stop)
+            if bracket < 0:
+                raise source.error("the bracket [ is not closed", name_start, "Write ] behind the type of the result.")
+            name_start = skip_blanks(text, bracket + 1, stop)
     name_stop = name_start
     while name_stop < stop and text[name_stop] not in " \t(":
         name_stop += 1

@@ -12,7 +12,7 @@ from msgspec import Struct
 
 from postproc.dialects.krl.language.parser import statement, statement_at
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tree import Declaration, Definition, Motion, Parameter
+from postproc.dialects.krl.language.tree import Declaration, Definition, FaultyStatement, Motion, Parameter
 from postproc.errors import ProgramError
 from postproc.program import Ints
 
@@ -110,7 +110,8 @@ def routines(
 ) -> tuple[dict[str, Routine], list[ProgramError]]:
     """Return the routines of a file (name, upper case → routine), and the errors in their bounds.
 
-    Errors are a DEF without END, and a motion outside of DEF … END. If two routines have one name, the first counts.
+    Errors are a DEF without END or that cannot be read, and a motion outside of DEF … END. If two routines have one
+    name, the first counts.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
     :param motion_lines: (P,) lines of plain motions, ascending.
@@ -136,6 +137,8 @@ def routines(
                 faults.append(source.line_error(problem, line, advice="Write END before this DEF."))
                 end_routine(open_routine, line)
             open_routine = _OpenRoutine(node.name.upper(), line, node)
+        elif isinstance(node, FaultyStatement) and node.word in ("DEF", "DEFFCT"):
+            faults.append(node.error)
         elif node.word in ("END", "ENDFCT") and open_routine is not None:
             end_routine(open_routine, line)
             open_routine = None

@@ -152,7 +152,7 @@ def subprogram_copies(
     stems: Sequence[str],
     program: str,
     other_names: Collection[str],
-) -> tuple[tuple[Document, ...], dict[str, str]] | None:
+) -> tuple[tuple[Document, ...], dict[str, str]] | str:
     """Return the files of a program with new names for some of its subprograms and for all files that use these.
 
     Only names change: of files, behind DEF, DEFDAT and EXT, in front of the bracket of a call, and behind ``/R1/``.
@@ -162,29 +162,31 @@ def subprogram_copies(
     :param stems: names of the files to be renamed, without extension.
     :param program: name of the program, which becomes a part of the new names.
     :param other_names: names of other files, without extension, lower case.
-    :returns: the files, and new file name → old file name. None if the names cannot change: a name is used in another
-        way (in a string, as a variable), an unchanged file uses it, a file is missing or would be the main file, or a
-        renamed file has GLOBAL declarations, which would then exist twice.
+    :returns: the files, and new file name → old file name. If the names cannot change, the reason: a name is used in
+        another way (in a string, as a variable), an unchanged file uses it, a file is missing or would be the main
+        file, or a renamed file has GLOBAL declarations, which would then exist twice.
     """
     renamed_stems = _stems_with_callers(documents, {stem.upper() for stem in stems})
     present_stems = {_stem(document) for document in documents}
     is_used_unchanged = any(not renamed_stems.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
     if is_used_unchanged or _stem(documents[0]) in renamed_stems or not renamed_stems <= present_stems:
-        return None
+        return "the main program, or a file that must not change, is called in it or calls it"
     used_names = {name.upper() for name in other_names} | present_stems
     used_names |= {name for document in documents for name in scan.names(document.text)}
     renamed_documents = [document for document in documents if _stem(document) in renamed_stems]
     new_stem_of = _new_stems({PurePath(document.name).stem for document in renamed_documents}, program, used_names)
-    if any(fault_of(name) for name in new_stem_of.values()) or any(
-        scan.global_lines(document.text) for document in renamed_documents
-    ):
-        return None
+    faulty_names = [name for name in new_stem_of.values() if fault_of(name)]
+    if faulty_names:
+        return f"{faulty_names[0]} is no valid name"
+    for document in renamed_documents:
+        if global_lines := scan.global_lines(document.text):
+            return f"{global_lines[0].strip()} in {document.name} would exist twice"
     new_documents: list[Document] = []
     old_names: dict[str, str] = {}
     for document in documents:
         text, new_stem = _replace_routines(document.text, new_stem_of), new_stem_of.get(_stem(document))
         if text is None:
-            return None
+            return f"{document.name} uses its name in another way than to call it, as in a string"
         name = document.name if new_stem is None else f"{new_stem}{PurePath(document.name).suffix}"
         if name != document.name:
             old_names[name] = document.name
