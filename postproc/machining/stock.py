@@ -240,6 +240,9 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
     """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
 
+    Cells that the box covers in part have the height of the box on the covered share of their area, and no material on
+    the rest.
+
     :param file: path of the process or of the mesh, for the message.
     :raises ForceError: the map would have too many cells.
     """
@@ -635,14 +638,15 @@ def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[Se
     high = np.maximum(begin[:, :2], end[:, :2]) + reach - origin
     first = np.clip(np.floor(low / cell).astype(np.int64), 0, map_size)
     count = np.clip(np.floor(high / cell).astype(np.int64) + 1, 0, map_size) - first
-    size = count[:, 0] * count[:, 1]
-    order = np.argsort(size, kind="stable")
-    order = order[size[order] > 0]
+    cell_count = count[:, 0] * count[:, 1]  # of each window
+    order = np.argsort(cell_count, kind="stable")
+    order = order[cell_count[order] > 0]
     done_count = 0
     while done_count < len(order):
-        # sorted by size, the last window of a batch is the largest: its size limits the cells of the batch
-        rows = order[done_count : done_count + max(1, MOST_CELLS_AT_ONCE // int(size[order[done_count]]))]
-        rows = rows[: max(1, MOST_CELLS_AT_ONCE // int(size[rows[-1]]))]
+        # as many windows as are allowed if all have the size of the first, the smallest; of these as many as are
+        # allowed if all have the size of the last, the largest, as they will
+        rows = order[done_count : done_count + max(1, MOST_CELLS_AT_ONCE // int(cell_count[order[done_count]]))]
+        rows = rows[: max(1, MOST_CELLS_AT_ONCE // int(cell_count[rows[-1]]))]
         done_count += len(rows)
         window = np.minimum(count[rows].max(axis=0), map_size)
         corner = np.minimum(first[rows], map_size - window)  # windows at the upper edges move inwards

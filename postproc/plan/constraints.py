@@ -283,10 +283,10 @@ def _line_of_sight(site: Site, state: State) -> Iterator[tuple[str, Bools]]:
     parts = [*arm_parts(site, state), *load_parts(site, state)]
     start, end = np.array([part.start for part in parts]), np.array([part.end for part in parts])
     radius = np.array([part.radius for part in parts])[:, None]
-    # the coarse shape of the hand may contain the marker: such a shape does not hide it
+    # (P, parts, N); the coarse shape of the hand may contain the marker: such a shape does not hide it
     contains_marker = segment_distances(marker[:, None], marker[:, None], start, end) < radius
-    is_passed = contains_marker | (segment_distances(tracker[:, None], marker[:, None], start, end) >= radius)
-    is_in_sight = np.asarray(is_passed.all(axis=1))
+    is_clear_of_line = segment_distances(tracker[:, None], marker[:, None], start, end) >= radius
+    is_in_sight = np.asarray((contains_marker | is_clear_of_line).all(axis=1))
     for row, name in enumerate(site.names):
         rows = np.flatnonzero(is_in_sight[row])
         for obstacle in site.obstacles:
