@@ -155,7 +155,10 @@ class CutDistances(WorstPair, frozen=True):
 
 
 class DistancesBetweenPairs(Struct, frozen=True):
-    """Largest distances of the loaded tip from the nominal path between pairs, for each program."""
+    """Largest distances of the loaded tip from the nominal path between pairs, for each program.
+
+    Motions with a force count: no rapid moves, and no PTP.
+    """
 
     nominal_max_mm: float
     corrected_max_mm: float
