@@ -210,6 +210,15 @@ def test_missing_components_are_added_when_they_must_change():
     ]
 
 
+def test_components_are_added_to_a_target_that_gives_an_external_axis_only():
+    """A linear axis carries the robot on while the tool stays where it is."""
+    program = read(body(FULL, "LIN {X 7}", "LIN {E1 0} C_DIS", "LIN_REL {E1 0}"))
+    wanted = targets(program, np.array([[0, 0, 0], [0, 0, 0], [1, 0, 2], [0, 0, 2]]) * MM)
+    written = krl.rewrite(program, wanted)
+    check_commands(program, wanted, written)
+    assert written.documents[0].text.splitlines()[5] == "LIN {X 8.0000,Z 32.0000,E1 0} C_DIS"
+
+
 def test_a_kept_target_is_completed_when_its_predecessor_was_changed():
     (lines, *_), _ = rewritten(body(FULL, "LIN {X 7.5}", "LIN {X 8}", "LIN {X 9,Z 3}"), raised=[0])
     assert lines[4:7] == ["LIN {X 7.5,Z 30.0000}", "LIN {X 8}", "LIN {X 9,Z 3}"]

@@ -71,7 +71,8 @@ def literal_of(aggregate: Aggregate) -> Literal:
 def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replacement]:
     """Return the edits that give a literal new numbers.
 
-    Missing components are added behind its last Cartesian component, with its spacing and its case.
+    Missing components are added behind its last Cartesian component, with its spacing and its case; in front if it has
+    none, as ``{E1 25}``.
 
     :param texts: component → number as printed.
     """
@@ -79,15 +80,17 @@ def replaced_numbers(literal: Literal, texts: Mapping[str, str]) -> list[Replace
     pieces = [Replacement(*number_spans[name], text) for name, text in texts.items() if name in number_spans]
     absent_names = [name for name in texts if name not in number_spans]
     if absent_names:
-        last = max(stop for name, (_, stop) in number_spans.items() if name in CARTESIAN)
+        last = max((stop for name, (_, stop) in number_spans.items() if name in CARTESIAN), default=None)
         content = literal.text[literal.start : literal.stop]
         comma = content.find(",")
         blank = " " if comma >= 0 and content[comma + 1] == " " else ""
         is_lower_case = content.rpartition(":")[2].islower()  # without the type before the colon
-        added_text = "".join(
-            f",{blank}{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names
-        )
-        pieces.append(Replacement(last, last, added_text))
+        added = [f"{name.lower() if is_lower_case else name} {texts[name]}" for name in absent_names]
+        if last is None:
+            first = literal.start + max(content.find("{"), content.find(":")) + 1  # behind the type, if there is one
+            pieces.append(Replacement(first, first, "".join(f"{text},{blank}" for text in added)))
+        else:
+            pieces.append(Replacement(last, last, "".join(f",{blank}{text}" for text in added)))
     return pieces
 
 
