@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.dialects.krl_programs import body, read
 from tests.placement import setting
 
 HEAD = "G21 G90\nS3000 M3\nG4 P1.0\n(FORCE FX=-110 FY=-190 FZ=330 FRAME=BASE)\nG0 X1300 Y-20 Z60\n"
@@ -45,3 +46,11 @@ def test_where_no_force_ends_in_a_dwell_nothing_is_told(text):
 
 def test_an_uncorrected_program_comes_to_the_nominal_place_while_it_waits():
     assert dwells("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", "predict")[1] == []
+
+
+def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
+    lines = ["LIN {X 7}", "WAIT SEC 0", "LIN {X 8}", " wait sec 0.5 ;x", "LIN {X 9}", "WAIT FOR TRUE", "LIN {X 8}"]
+    lines += ["WAIT FOR $IN[3]", "FOR I=1 TO 2", "LIN {Y 5}", "WAIT SEC T", "ENDFOR", "HALT", "; WAIT SEC 3"]
+    events = read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}", *lines)).events
+    waits = [(event.before, event.line, event.value) for event in events if event.kind == "dwell"]
+    assert waits == [(3, 8, 0.5), (5, 12, 0.0), (6, 15, 0.0), (7, 15, 0.0), (7, 17, 0.0)]

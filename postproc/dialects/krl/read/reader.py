@@ -63,6 +63,7 @@ from postproc.dialects.krl.read.plain_lines import PlainLines, plain_lines_of, p
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
+from postproc.dialects.krl.read.waits import waits
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, combined_error
 from postproc.frames import DEG_PER_RAD, Array, any_column
@@ -253,7 +254,7 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=remarks(course, layout.line),
+            events=(*remarks(course, layout.line), *waits(course, layout.line)),
             notes=tuple(note for _, note in order.notes),
             still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
