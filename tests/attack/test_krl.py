@@ -68,7 +68,7 @@ def test_where_only_chance_leads_a_motion_elsewhere_nothing_is_wrong():
 
 
 def test_motions_that_are_said_to_be_moved_and_loops_that_never_end_are_not_wrong():
-    assert [attack(seed) for seed in (337502197, 337502251)] == ["kept", "invalid"]
+    assert [attack(seed) for seed in (337502197, 337502239)] == ["kept", "invalid"]
 
 
 @pytest.mark.parametrize(
