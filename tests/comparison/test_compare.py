@@ -187,6 +187,19 @@ def test_inserted_targets_are_told_by_what_they_cut():
     assert any(f"part.src:{place + 1}: between targets it leaves 0.05" in why for why in content["verdict"]["reasons"])
 
 
+@pytest.mark.parametrize(("height", "state"), [(0.005, "ok"), (0.05, "warning")])
+def test_a_point_inserted_beside_the_path_is_a_doubt_without_forces(height, state):
+    """It is on the path for the search of partners; nothing explains why it is where it is."""
+    corner = "LIN {X 40.000,Y 0.000,Z -2.000"
+    line = next(line for line in OTHERS.splitlines(keepends=True) if line.startswith(corner))
+    inserted_line = line.replace("X 40.000,Y 0.000,Z -2.000", f"X 20.000,Y 0.000,Z {height - 2.0:.3f}")
+    Path("edited.src").write_text(OTHERS.replace(line, inserted_line + line).replace("OTHER", "EDITED"))
+    content = compare("other.src", "edited.src")
+    assert (content["inserted"], content["verdict"]["state"]) == (1, state)
+    text = "other.src:9 and edited.src:10: on the way to this target the programs are 0.0500 mm apart, and no forces"
+    assert content["verdict"]["reasons"][0].startswith(text) == (state == "warning")
+
+
 @pytest.mark.parametrize("digit", range(3))
 def test_one_edited_digit_fails_the_comparison(digit):
     text = corrected_text()

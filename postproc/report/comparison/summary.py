@@ -396,17 +396,20 @@ def _doubts(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[
         yield f"{content.corrected} was made with {' and '.join(f'another {name}' for name in changed_inputs)}"
     if origin.mode == "nominal" and content.cut is not None:
         yield f"{content.corrected} is nominal: it was written without correction"
-    if (
-        content.cut is None
-        and not file_origin.same_origin
-        and content.offset.max_mm > content.tolerance_mm
-        and not content.differences["base"]
-    ):
-        yield (
-            f"{_pair_text(content.largest[0])}: this target is {content.offset.max_mm:.4f} mm off, and no forces "
-            "are known that explain it: give --forces"
-        )
+    if content.cut is None and not file_origin.same_origin and not content.differences["base"]:
+        yield from _unexplained_distances(content)
     yield from (_issue_text(issue) for issue in content.issues if issue.level == "warning")
+
+
+def _unexplained_distances(content: ComparisonSummary) -> Iterator[str]:
+    """Yield the largest distance beyond the tolerance, at targets or between them, without forces that explain it."""
+    gap = content.between_targets
+    reason = "and no forces are known that explain it: give --forces"
+    if content.offset.max_mm > content.tolerance_mm:
+        yield f"{_pair_text(content.largest[0])}: this target is {content.offset.max_mm:.4f} mm off, {reason}"
+    elif gap.max_mm > content.tolerance_mm:
+        place = f"{gap.nominal_file}:{gap.nominal_line} and {gap.corrected_file}:{gap.corrected_line}"
+        yield f"{place}: on the way to this target the programs are {gap.max_mm:.4f} mm apart, {reason}"
 
 
 def _issue_text(issue: DifferenceEntry) -> str:
