@@ -17,7 +17,7 @@ from postproc.program import Ints, Program
 def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, tolerance: float) -> list[Issue]:
     """Return a warning if a program waits where the force deflects the tool by more than the tolerance.
 
-    Known are G4, DELAY, cycles with a dwell, and WAIT and HALT of KRL; not WaitTime of RAPID.
+    Known are G4, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
 
     :param motion: (K,) motion of each target.
     :param t: (K,) place of each target on its motion, in (0, 1].

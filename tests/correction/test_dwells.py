@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tests.dialects import rapid_reading
 from tests.dialects.krl_programs import body, read
 from tests.placement import setting
 
@@ -54,3 +55,11 @@ def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
     events = read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}", *lines)).events
     waits = [(event.before, event.line, event.value) for event in events if event.kind == "dwell"]
     assert waits == [(3, 8, 0.5), (5, 12, 0.0), (6, 15, 0.0), (7, 15, 0.0), (7, 17, 0.0)]
+
+
+def test_waits_of_rapid_are_known_in_execution_order():
+    move = f"MoveL {rapid_reading.at(0, 0, 20)}{rapid_reading.tail()}"
+    lines = ["FOR i FROM 1 TO 2 DO", move, "WaitTime 0;", "Hold;", "ENDFOR", "WaitDI di1,1;", "Stop;"]
+    text = rapid_reading.module(lines, routines="PROC Hold()\nWaitTime\\InPos,0.5;\nENDPROC")
+    events = rapid_reading.read(text).events
+    assert [(event.kind, event.before) for event in events] == [("dwell", count) for count in (2, 3, 3, 3)]

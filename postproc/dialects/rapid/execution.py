@@ -34,6 +34,7 @@ from postproc.dialects.rapid.instructions import (
     STOPPING,
     is_unfollowed_motion,
 )
+from postproc.dialects.rapid.language import WAITING
 from postproc.dialects.rapid.loaded import LoadedModules, name_clash, named_like_rapid
 from postproc.dialects.rapid.moves import Move, Setting, are_equal, stated_move
 from postproc.dialects.rapid.syntax import (
@@ -133,6 +134,7 @@ class ExecutedProgram(Struct, eq=False):
 
     :ivar moves: motions in execution order.
     :ivar notes: each comment with the number of the motion in whose line it is, or else of the motion that follows.
+    :ivar waits: offset of each statement at which the robot waits, and the number of moves before it.
     :ivar rounds: offset of a loop with motions → its runs. A run is the loop and, for each round, the value of the
         variable of FOR, or the number of the round of WHILE.
     :ivar calls: name of a routine with motions → its calls, in execution order.
@@ -145,6 +147,7 @@ class ExecutedProgram(Struct, eq=False):
 
     moves: list[Move] = field(default_factory=list)
     notes: list[tuple[Comment, int]] = field(default_factory=list)
+    waits: list[tuple[int, int]] = field(default_factory=list)
     rounds: dict[int, list[tuple[Loop, list[float]]]] = field(default_factory=dict)
     calls: dict[str, list[Instruction]] = field(default_factory=dict)
     unknown_calls: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -841,6 +844,8 @@ class Execution:
         else:
             if name == "CONNECT":
                 self._check_connect(statement)
+            if name in WAITING and not _takes_no_time(statement, scope):
+                self.result.waits.append((statement.start, len(self.result.moves)))
             is_reading = name in READING or name in CONSTANT
             for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
@@ -1075,3 +1080,13 @@ def _is_data_name(expression: Expression | None, scope: Scope) -> TypeGuard[Expr
 def _is_constant(variable: Variable) -> bool:
     """Return whether data are declared as CONST."""
     return variable.declaration is not None and variable.declaration.kind == "CONST"
+
+
+def _takes_no_time(wait: Instruction, scope: Scope) -> bool:
+    """Return whether a wait is a WaitTime of 0 s, which only waits until the robot stands."""
+    if wait.name != "WAITTIME":
+        return False
+    try:
+        return any(argument.value is not None and number(argument.value, scope) == 0.0 for argument in wait.arguments)
+    except (UnknownValueError, ValueError):
+        return False

@@ -44,6 +44,7 @@ from postproc.program import (
     PTP,
     Bools,
     Document,
+    Event,
     ForceNote,
     FrameColumns,
     Ints,
@@ -146,6 +147,7 @@ class _Reader:
             path.bases,
             path.tools,
             tool_keys=_tool_names(execution.moves, path.motions.tool, len(path.tools)),
+            events=self._waits(expanded_program),
             notes=notes,
             issues=tuple(self._issues(expanded_program)),
             is_wrist_led=path.is_wrist_led if path.is_wrist_led.any() else None,
@@ -181,6 +183,14 @@ class _Reader:
         # the last line that begins at or before each offset
         return np.asarray(
             expanded_program.line[np.searchsorted(line_spans(expanded_program.text)[0], start, side="right") - 1]
+        )
+
+    def _waits(self, expanded_program: ExpandedProgram) -> tuple[Event, ...]:
+        """Return the waits in execution order, each as a dwell at the next motion; their times are not stated."""
+        waits = expanded_program.executed.waits
+        lines = self._file_lines(expanded_program, np.array([start for start, _ in waits], dtype=np.int64)).tolist()
+        return tuple(
+            Event(before=count, kind="dwell", line=line) for (_, count), line in zip(waits, lines, strict=True)
         )
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:
