@@ -223,7 +223,7 @@ def copy_subprograms(
     :returns: the files, and new name of each renamed file → its name in `documents`.
     :raises InputError: a file that differs is not only a subprogram, or cannot have another name.
     """
-    job, dialect = task.job, registry.dialect_of_name(task.job.dialect)
+    job, dialect = task.job, task.job.reader
     reason = ""
     if isinstance(dialect, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
@@ -786,7 +786,7 @@ def _may_share(job: Job) -> bool:
 
     Only programs with calls whose text is kept can do so.
     """
-    if not (job.keeps_text and isinstance(registry.dialect_of_name(job.dialect), Calling)):
+    if not (job.keeps_text and isinstance(job.reader, Calling)):
         return False
     own_files = {_path_key(path) for path in job.input_files()}
     return any(_path_key(path) not in own_files for path in job.program.parent.glob("*") if path.is_file())
@@ -824,7 +824,7 @@ def _intact_program_files(job: Job, mode: Mode) -> list[str]:
     if mode == "predict" or program is None or not program.is_file():
         return []
     try:
-        documents = read_documents(program, registry.written_in(job.dialect, job.to)[0])
+        documents = read_documents(program, job.written_dialect)
     except ProgramError:
         return []
     return [document.name for document in documents] if job.writer.origin(documents).state == "intact" else []

@@ -16,7 +16,7 @@ from postproc import robot as robots
 from postproc.cell import Cell
 from postproc.correction import Mode
 from postproc.dialects import Writer, registry
-from postproc.dialects.dialect import Calling
+from postproc.dialects.dialect import Calling, Dialect
 from postproc.dialects.text import decode
 from postproc.errors import ForceError, InputError, Issue, OptionError, ProgramError
 from postproc.files import StagedFiles, read_bytes, resolve
@@ -54,9 +54,19 @@ class Job(Struct, frozen=True):
     same_stock: tuple[Job, ...] = ()
 
     @property
+    def reader(self) -> Dialect:
+        """Dialect that reads the program."""
+        return registry.dialect_of_name(self.dialect)
+
+    @property
+    def written_dialect(self) -> str:
+        """Name of the format in which the program is written."""
+        return registry.written_in(self.dialect, self.to)[0]
+
+    @property
     def keeps_text(self) -> bool:
         """Whether the program is written with its own text and other numbers, see `Program.keeps_text`."""
-        return registry.written_in(self.dialect, self.to)[0] == self.dialect
+        return self.written_dialect == self.dialect
 
     @property
     def stem(self) -> str:
@@ -70,7 +80,7 @@ class Job(Struct, frozen=True):
 
     def input_files(self) -> list[Path]:
         """Return the files that are read for this program, without the cell."""
-        companions = registry.dialect_of_name(self.dialect).companions(self.program)
+        companions = self.reader.companions(self.program)
         return [self.program, *companions, *([] if self.forces is None else [self.forces])]
 
     def report_name(self, mode: Mode) -> str:
@@ -88,7 +98,7 @@ class Job(Struct, frozen=True):
         if self.forces is not None:
             reports.insert(1, f"{report}forces.csv")
         if self.keeps_text:
-            files = [self.program, *registry.dialect_of_name(self.dialect).companions(self.program)]
+            files = [self.program, *self.reader.companions(self.program)]
             if self.name is not None:
                 files = [path.with_stem(self.name) for path in files if path.stem.lower() == self.program.stem.lower()]
             return [*(path.name for path in files), *reports]

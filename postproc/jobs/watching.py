@@ -529,7 +529,7 @@ class _Watcher:
             (job,) = self._find_forces(find_jobs([str(path)], output=self.output, **self.plain_options))
             report = json.loads((self.output / job.report_name("convert")).read_bytes())
             main = next(self.output / name for name in job.main_file_names("convert") if (self.output / name).is_file())
-            origin = job.writer.origin(read_documents(main, registry.written_in(job.dialect, job.to)[0]))
+            origin = job.writer.origin(read_documents(main, job.written_dialect))
             expected = (self._expected_sums(path, job), options_of(self.settings), "corrected", VERSION)
             is_same = (origin.sums, origin.options, origin.mode, origin.version) == expected
             return is_same and report["program"] == path.name

@@ -492,6 +492,12 @@ def test_a_sensor_that_moves_the_robot_is_refused(call):
     assert caught.value.line == 5
 
 
+def test_a_call_that_mills_the_points_of_a_file_is_refused():
+    with pytest.raises(ProgramError, match="points of a file, which are not in the program") as caught:
+        read(body(FULL, 'CR_PROCESS_FILE("job.csv",1,-1,"OK")', FULL))
+    assert caught.value.line == 5
+
+
 def test_global_names_that_motions_depend_on_are_named_with_the_calls_that_may_change_them():
     data = POINTS_DAT.replace("DECL INT I", "DECL GLOBAL INT I").replace("DECL REAL SPD", "DECL GLOBAL REAL SPD")
     found = read_lines("MSG()", "$VEL.CP=SPD", "LIN P[I]", data=data)

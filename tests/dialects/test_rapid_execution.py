@@ -249,12 +249,12 @@ def test_what_cannot_be_followed_is_refused_at_its_line(kind):
     assert error.advice
 
 
-def test_all_moves_that_are_not_known_are_named_but_no_more_than_twenty():
+def test_all_moves_that_are_not_known_are_named_but_of_more_than_twenty_the_first():
     error = refusal([f"MoveL q{k}{tail()}" for k in range(3)])
     assert [f"Q{k} is not declared" in text for k, text in enumerate(str(error).splitlines())] == [True] * 3
     error = refusal([f"MoveL q{k}{tail()}" for k in range(25)])
-    assert "Q20 is not declared" in str(error)
-    assert "Q21" not in str(error)
+    assert "Q0 is not declared" in str(error)
+    assert "Q1 " not in str(error)
 
 
 def test_calls_of_routines_of_other_files_are_counted_and_named_at_the_first():

@@ -856,11 +856,11 @@ class Execution:
     def _refuse(self, statement: Statement, problem: str, advice: str) -> None:
         """Add an error at a statement to the errors, so that later errors are found too.
 
-        :raises RapidError: there are more than `MAX_ERRORS`; it is the last.
+        :raises RapidError: there are more than `MAX_ERRORS`; it is the first.
         """
         self.result.errors.append(RapidError(problem, statement.start, advice))
         if len(self.result.errors) > MAX_ERRORS:
-            raise self.result.errors.pop()
+            raise self.result.errors[0]
 
     def _check_connect(self, statement: Instruction) -> None:
         """Add an error if the trap routine of CONNECT moves the robot."""

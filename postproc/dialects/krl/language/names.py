@@ -74,6 +74,8 @@ synchronised motions.
 """
 BY_SENSOR = words("RSI_ON RSI_MOVECORR ST_ON ST_ON1")
 """Routines of KUKA.RobotSensorInterface by which a sensor moves the robot; none has a .src to read."""
+BY_FILE = words("CR_PROCESS_FILE")
+"""Routines of KUKA.CAMRob that move the robot along the points of a file."""
 
 RESERVED = (
     MOTIONS

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from postproc.dialects.krl.language.names import BY_SENSOR
+from postproc.dialects.krl.language.names import BY_FILE, BY_SENSOR
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.tree import Motion, Return
 from postproc.dialects.krl.layout import Layout
@@ -33,7 +33,7 @@ def issues_of(main: MainRoutine, motion_states: MotionStates, rows: MotionColumn
     :param main: has followed the program.
     :param motion_states: settings in force at the motions of the program.
     :param rows: the motions.
-    :raises ProgramError: a called program is known to move the robot by a sensor.
+    :raises ProgramError: a called program is known to move the robot by a sensor or along the points of a file.
     """
     yield from _absent_program_warnings(main)
     yield from _uncalled_routine_warnings(main)
@@ -45,7 +45,8 @@ def issues_of(main: MainRoutine, motion_states: MotionStates, rows: MotionColumn
 def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning for each called program that is in no file: it is assumed not to move the robot.
 
-    :raises ProgramError: one of the programs is known to move the robot by a sensor (`BY_SENSOR`).
+    :raises ProgramError: one of the programs is known to move the robot by a sensor (`BY_SENSOR`), or along the points
+        of a file (`BY_FILE`).
     """
     global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)  # motions depend on them
     points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
@@ -55,6 +56,12 @@ def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
                 f"{name}() moves the robot by what a sensor says: the path is not known",
                 line,
                 "Convert the program without the sensor's correction.",
+            )
+        if name.upper() in BY_FILE:
+            raise main.run.routine.source.line_error(
+                f"{name}() moves the robot along the points of a file, which are not in the program",
+                line,
+                "Convert the G-code or the cutter-location file of the part instead: it becomes KRL with all points.",
             )
         fault = main.run.library.faults.get(name.upper())
         place_text = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
