@@ -51,6 +51,9 @@ _START_DEPTH = 1e-3
 """Starts that are lower than they should be by less [m] are not reported (assumed)."""
 _SHORTEST_TRAVEL = 1e-6
 """Pieces of path shorter than this [m] have no joint speed by their feed (assumed)."""
+_FASTEST_CARRIAGE = 5.0
+"""Speed of a linear axis that carries the robot [m/s] that none has (assumed): where the feed would ask for more, the
+tool hardly moves, and the speed of that axis times the motion."""
 _ORIENTATION_SPEED = 200.0 * RAD_PER_DEG
 """$VEL.ORI1 and $VEL.ORI2 of a KUKA controller by default [rad/s]."""
 _TORQUE_FACTOR = 1.1
@@ -294,7 +297,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     """Return the joint speeds at the programmed feed before each sample (N, 6) [rad/s]; 0 if unknown.
 
     Unknown are the speeds of PTP, of motions in other frames than those before, where the controller's orientation
-    speed times a motion, and along steps too short to have a speed.
+    speed or the linear axis that carries the robot times a motion, and along steps too short to have a speed.
 
     :param sample: N samples of the path.
     :param turn: (M,) rotation of the tool by each motion [rad].
@@ -315,6 +318,9 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
         & (nominal_travel > _SHORTEST_TRAVEL)
         & (feed > 0)
     )
+    if program.carriage is not None:
+        carriage_travel = np.abs(np.diff(program.carriage.at(sample.motion, sample.t)))
+        is_timed_by_feed &= carriage_travel * feed <= _FASTEST_CARRIAGE * travel
     speed = np.abs(np.diff(q, axis=0, prepend=q[:1]))
     speed[1:] *= np.where(is_timed_by_feed, feed / np.where(is_timed_by_feed, travel, 1.0), 0.0)[:, None]
     return speed

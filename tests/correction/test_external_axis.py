@@ -75,6 +75,14 @@ def simulated(result, shares=(0.25, 0.5, 0.75, 1.0)):
     return off
 
 
+def test_the_linear_axis_alone_may_move_under_force():
+    """The tool stays but for what the arm is stiffer in its other pose; that axis, not the feed, times the motion."""
+    lines = (FORCE, START, "LIN {Z -5,E1 100}", "LIN {E1 130}", "LIN {X 40}")
+    result = process_on_rail(text_of(*lines))
+    assert not result.failed, result.issues
+    assert max(off for _, _, off in simulated(result)) < 1e-6
+
+
 def test_a_robot_that_stands_elsewhere_cuts_as_with_another_base():
     lines = (FORCE, START, "LIN {X 200,E1 100}", "CIRC {X 250,Y 50},{X 200,Y 100}", "LIN {X 0,Y 100,Z -5}")
     one = process_on_rail(text_of(*lines))
