@@ -465,7 +465,8 @@ class Event(Struct, frozen=True):
     :param before: row of the motion before which it takes place (number of motions = after the last).
     :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1, ``m_code`` one of `[m_codes]`.
     :param line: 1-based source line.
-    :param value: spindle speed [rpm], tool number, dwell [s], number of the M-code; 0 where there is none.
+    :param value: spindle speed [rpm], tool number, dwell [s], NaN if it is not known, number of the
+        M-code; 0 where there is none.
     :param text: text of a comment.
     """
 

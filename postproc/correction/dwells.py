@@ -17,14 +17,18 @@ from postproc.program import Ints, Program
 def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, tolerance: float) -> list[Issue]:
     """Return a warning if a program waits where the force deflects the tool by more than the tolerance.
 
-    Known are G4, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
+    Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
 
     :param motion: (K,) motion of each target.
     :param t: (K,) place of each target on its motion, in (0, 1].
     :param deflection: (K, 3) displacement of the tool tip by the force [m].
     :param tolerance: [m].
     """
-    dwell_motions = [event.before - 1 for event in program.events if event.kind == "dwell"]
+    dwell_motions = [
+        event.before - 1
+        for event in program.events
+        if event.kind == "stop" or (event.kind == "dwell" and event.value != 0.0)
+    ]
     size = np.where((t == 1.0) & np.isin(motion, dwell_motions), norm(deflection), 0.0)
     size[program.motions.rapid[motion]] = 0.0
     rows = np.flatnonzero(size > tolerance)

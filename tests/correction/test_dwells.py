@@ -22,6 +22,7 @@ def dwells(text, mode="convert"):
         ("G82 X1300 Y-20 Z0 R20 P1.0 F300\nX1320\nG80\nG0 Z60\n", (6, 7)),
         ("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", (6,)),
         ("G1 Z0 F300\nG1 Y20\nG4 P0.5\nG0 Z60\n", (7,)),
+        ("G1 Z0 F300\nM0\nG1 Y20\nG0 Z60\n", (6,)),
     ],
 )
 def test_a_corrected_program_that_waits_in_material_is_warned_of(text, lines):
@@ -52,14 +53,35 @@ def test_an_uncorrected_program_comes_to_the_nominal_place_while_it_waits():
 def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
     lines = ["LIN {X 7}", "WAIT SEC 0", "LIN {X 8}", " wait sec 0.5 ;x", "LIN {X 9}", "WAIT FOR TRUE", "LIN {X 8}"]
     lines += ["WAIT FOR $IN[3]", "FOR I=1 TO 2", "LIN {Y 5}", "WAIT SEC T", "ENDFOR", "HALT", "; WAIT SEC 3"]
-    events = read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}", *lines)).events
+    lines += ["LIN {X 7}", "PAUSE()", "SHOW()"]
+    subs = "DEF PAUSE()\r\nREADY()\r\nEND\r\nDEF READY()\r\nWAIT FOR $IN[1]\r\nEND\r\n"
+    subs += "DEF SHOW()\r\nWAIT SEC 0\r\n$OUT[1]=TRUE\r\nEND\r\n"
+    events = read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}", *lines) + subs).events
     waits = [(event.before, event.line, event.value) for event in events if event.kind == "dwell"]
-    assert waits == [(3, 8, 0.5), (5, 12, 0.0), (6, 15, 0.0), (7, 15, 0.0), (7, 17, 0.0)]
+    unknown = pytest.approx(np.nan, nan_ok=True)
+    assert waits == [
+        (3, 8, 0.5),
+        (5, 12, unknown),
+        (6, 15, unknown),
+        (7, 15, unknown),
+        (7, 17, unknown),
+        (8, 20, unknown),
+    ]
 
 
 def test_waits_of_rapid_are_known_in_execution_order():
     move = f"MoveL {rapid_reading.at(0, 0, 20)}{rapid_reading.tail()}"
-    lines = ["FOR i FROM 1 TO 2 DO", move, "WaitTime 0;", "Hold;", "ENDFOR", "WaitDI di1,1;", "Stop;"]
+    lines = [
+        "FOR i FROM 1 TO 2 DO",
+        move,
+        "WaitTime 0;",
+        "Hold;",
+        "ENDFOR",
+        "WaitDI di1,1;",
+        "WaitUntil TRUE;",
+        "Stop;",
+    ]
+    lines += [move, "IF di1=1 THEN", "Break;", "ENDIF"]
     text = rapid_reading.module(lines, routines="PROC Hold()\nWaitTime\\InPos,0.5;\nENDPROC")
     events = rapid_reading.read(text).events
-    assert [(event.kind, event.before) for event in events] == [("dwell", count) for count in (2, 3, 3, 3)]
+    assert [(event.kind, event.before) for event in events] == [("dwell", count) for count in (2, 3, 3, 3, 4)]

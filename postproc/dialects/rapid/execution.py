@@ -482,6 +482,11 @@ class Execution:
         count = len(self.result.moves)
         self.result.notes.append((comment, count - 1 if comment.trailing and count else count))
 
+    def _note_wait(self, statement: Instruction, scope: Scope) -> None:
+        """Add an instruction at which the robot waits to the waits."""
+        if statement.name in WAITING and not _takes_no_time(statement, scope):
+            self.result.waits.append((statement.start, len(self.result.moves)))
+
     def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:
         """Leave a routine without moves if it is not known what runs in it; data that it may change become unknown.
 
@@ -579,6 +584,8 @@ class Execution:
         self._check_forces(statements, reason)
         self._forget(statements, f"it may be changed where it is not known whether: {reason}", scope)
         for statement in all_statements(statements):
+            if isinstance(statement, Instruction):
+                self._note_wait(statement, scope)
             # a stop of the program or a label skips no moves
             if isinstance(statement, Jump) and statement.word not in (*STOPPING, ":"):
                 if statement.word == "RETURN" and routine is self.entry:
@@ -844,8 +851,7 @@ class Execution:
         else:
             if name == "CONNECT":
                 self._check_connect(statement)
-            if name in WAITING and not _takes_no_time(statement, scope):
-                self.result.waits.append((statement.start, len(self.result.moves)))
+            self._note_wait(statement, scope)
             is_reading = name in READING or name in CONSTANT
             for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
@@ -1083,10 +1089,13 @@ def _is_constant(variable: Variable) -> bool:
 
 
 def _takes_no_time(wait: Instruction, scope: Scope) -> bool:
-    """Return whether a wait is a WaitTime of 0 s, which only waits until the robot stands."""
+    """Return whether a wait only stops the reading ahead: ``WaitTime 0`` and ``WaitUntil TRUE``."""
+    values = [argument.value for argument in wait.arguments if argument.value is not None]
+    if wait.name == "WAITUNTIL":
+        return any(value.kind == "bool" and value.value for value in values)
     if wait.name != "WAITTIME":
         return False
     try:
-        return any(argument.value is not None and number(argument.value, scope) == 0.0 for argument in wait.arguments)
+        return any(number(value, scope) == 0.0 for value in values)
     except (UnknownValueError, ValueError):
         return False

@@ -190,7 +190,8 @@ class _Reader:
         waits = expanded_program.executed.waits
         lines = self._file_lines(expanded_program, np.array([start for start, _ in waits], dtype=np.int64)).tolist()
         return tuple(
-            Event(before=count, kind="dwell", line=line) for (_, count), line in zip(waits, lines, strict=True)
+            Event(before=count, kind="dwell", line=line, value=np.nan)
+            for (_, count), line in zip(waits, lines, strict=True)
         )
 
     def _entry(self, modules: Sequence[Module], name: str) -> Routine:

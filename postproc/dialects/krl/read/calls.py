@@ -110,6 +110,8 @@ class Calls:
         self._check_motion(place, call, *callee, effects)
         if callee.module is self.run.library.program:
             self.run.called_routines.add(callee.routine)
+        if effects.waits:
+            self.run.waiting_calls.append(self.run.row)
         if _has_no_effects(effects):  # may be run even if it is not certain that the program runs it
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
             if effects.turn_speed is not None and (result is None or not is_certain):  # may have set them

@@ -39,6 +39,7 @@ from postproc.dialects.krl.read.comments import force_comment_lines
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import Scope, stored_originals
 from postproc.dialects.krl.read.motion_reader import depends_on_position, keeps_position, reads_robot_position
+from postproc.dialects.krl.read.waits import waits_on
 from postproc.errors import ProgramError
 
 _CLOSING = frozenset({*OPENING.values(), "UNTIL"})
@@ -58,6 +59,7 @@ class Effects(Struct, eq=False):
     :ivar volatile_writes: stored names of variables that interrupts, triggers and cyclic statements may change at any
         time afterwards → the statement that does it.
     :ivar motion: place of a motion; None if there is none.
+    :ivar waits: True if the robot waits, see `waits`.
     :ivar turn_speed: place at which `$VEL.ORI1` or `$VEL.ORI2` is set; None if there is none.
     :ivar interrupt_motion: place of a motion in a GLOBAL interrupt that the code declares; None if there is none.
     :ivar return_motion: place of a motion back to where an interrupt stopped the robot; None if there is none.
@@ -73,6 +75,7 @@ class Effects(Struct, eq=False):
     writes: dict[str, Place] = {}
     volatile_writes: dict[str, Place] = {}
     motion: Place | None = None
+    waits: bool = False
     turn_speed: Place | None = None
     interrupt_motion: Place | None = None
     return_motion: Place | None = None
@@ -92,6 +95,7 @@ class Effects(Struct, eq=False):
         for name, place in effects.writes.items():
             self.writes.setdefault(name, place)
         self.force_comment = self.force_comment or effects.force_comment
+        self.waits = self.waits or effects.waits
         self._add_common_effects(effects)
 
     def add_action(self, effects: Effects) -> None:
@@ -372,6 +376,8 @@ class _Statement(Struct, eq=False):
         """
         if isinstance(stmt, Declaration | IdleDeclaration | Import | FaultyStatement):
             return
+        if stmt.word in ("WAIT", "HALT"):
+            self.effects.waits = self.effects.waits or waits_on(self.place.source, self.place.line)
         if stmt.word == "BAS":
             command = command_of(self.place.source, stmt.call) if isinstance(stmt, CallStatement) else ""
             for name in BAS_SETS.get(command, ()):

@@ -254,7 +254,7 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=(*remarks(course, layout.line), *waits(course, layout.line)),
+            events=(*remarks(course, layout.line), *waits(course, layout.line, run.waiting_calls)),
             notes=tuple(note for _, note in order.notes),
             still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),

@@ -212,6 +212,7 @@ class Run:
     :ivar copies: pairs of names, upper case: a variable whose point was copied, and the variable that got the copy.
     :ivar absent_calls: calls of programs that are in no file: name as spelled, and line.
     :ivar called_routines: routines of the program's own file that have been called.
+    :ivar waiting_calls: rows of the trace that call a routine which waits and is not in the trace.
     :ivar issues: warnings and remarks for the user.
     :ivar keeps_unresolved: the option `--keep-unresolved`.
     :ivar unresolved_motions: (line, reason): motions of the trace that are left uncorrected under that option.
@@ -243,6 +244,7 @@ class Run:
         self.copies: set[tuple[str, str]] = set()
         self.absent_calls: list[tuple[str, int]] = []
         self.called_routines: set[Routine] = set()
+        self.waiting_calls: list[int] = []
         self.issues: list[Issue] = []
         self.keeps_unresolved = settings.cell.krl.keep_unresolved
         self.unresolved_motions: list[tuple[int, ProgramError]] = []

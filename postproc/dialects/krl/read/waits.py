@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
+from collections.abc import Iterable
 
 import numpy as np
 
 from postproc.dialects.krl.course import Course
+from postproc.dialects.krl.language.source import Source
 from postproc.program import Event, Ints
 
 _WAIT = re.compile(
@@ -15,33 +18,47 @@ _WAIT = re.compile(
 )
 
 
-def waits(course: Course, motions: Ints) -> tuple[Event, ...]:
+def waits(course: Course, motions: Ints, waiting_calls: Iterable[int]) -> tuple[Event, ...]:
     """Return the waits of a program in execution order, each as a dwell at the next motion.
 
-    ``WAIT SEC 0`` and ``WAIT FOR TRUE``, which only stop the advance run, are left out.
-
     :param motions: (M,) lines of the motions in the trace.
-    :returns: their value is the time [s]; 0 if it is not a number, or depends on a condition.
+    :param waiting_calls: rows of the trace that call a routine which waits and is not in the trace.
+    :returns: their value is the time [s]; NaN if it is not a number, or depends on a condition.
     """
-    events = []
+    time_of_row = dict.fromkeys(waiting_calls, math.nan)
     for source in course.trace.sources:
-        times = {}  # line → time
-        for match in _WAIT.finditer(source.text):
-            time = _time(match["time"] or "")
-            if time != 0.0 and (match["condition"] or "").strip(" \t()").upper() != "TRUE":
-                times[source.line_at(match.start())] = time or 0.0
-        lines = np.array(list(times), dtype=np.int64)
+        matches = [match for match in _WAIT.finditer(source.text) if _time(match) != 0.0]
+        lines = np.array([source.line_at(match.start()) for match in matches], dtype=np.int64)
         rows, index = course.rows_of(source, lines)
-        for row, line in zip(rows.tolist(), lines[index].tolist(), strict=True):
-            next_motion = int(np.searchsorted(motions, row))
-            shown_line = course.trace.shown_line(row)
-            events.append(Event(before=next_motion, kind="dwell", line=shown_line, value=times[line]))
-    return tuple(sorted(events, key=lambda event: event.before))
+        if course.may_run is not None:
+            is_run = course.may_run[rows - 1]
+            rows, index = rows[is_run], index[is_run]
+        time_of_row |= {row: _time(matches[k]) for row, k in zip(rows.tolist(), index.tolist(), strict=True)}
+    return tuple(
+        Event(
+            before=int(np.searchsorted(motions, row)),
+            kind="dwell",
+            line=course.trace.shown_line(row),
+            value=time_of_row[row],
+        )
+        for row in sorted(time_of_row)
+    )
 
 
-def _time(text: str) -> float | None:
-    """Return the number of ``WAIT SEC`` [s]; None if it is an expression, or there is none."""
+def waits_on(source: Source, line: int) -> bool:
+    """Return whether a line waits."""
+    match = _WAIT.match(source.text, source.starts[line - 1])
+    return match is not None and _time(match) != 0.0
+
+
+def _time(wait: re.Match[str]) -> float:
+    """Return the time of a wait [s]: 0 for ``WAIT SEC 0`` and ``WAIT FOR TRUE``, which only stop the advance run.
+
+    NaN if it is an expression, or depends on a condition.
+    """
+    if wait["time"] is None:
+        return 0.0 if (wait["condition"] or "").strip(" \t()").upper() == "TRUE" else math.nan
     try:
-        return float(text)
+        return float(wait["time"])
     except ValueError:
-        return None
+        return math.nan
