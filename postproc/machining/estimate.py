@@ -57,8 +57,8 @@ _HOLLOW_SHARE = 0.02
 _HIDDEN_SHARE, _NOISE_SHARE = 0.05, 5e-4
 """The same for earlier cuts: this share of what they removed, and of the stock; turned maps of one stock differ by less
 than a fifth of that (assumed)."""
-_LITTLE_CUT = 0.05
-"""Warn if a smaller share of the path at feed cuts (assumed)."""
+_LITTLE_CUT = 0.01
+"""Warn if a smaller share of the path at feed cuts (assumed): drilling with travel at feed has 1.5 to 4 %."""
 _LEAST_FORCE, _LEAST_SHARE = 2.0, 0.02
 """A place cuts beyond this force [N], or beyond this share of the largest, if that is less (assumed)."""
 _LARGE_RATIO = 5.0

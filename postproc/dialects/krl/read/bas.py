@@ -166,10 +166,7 @@ class Bas:
         return replace(state, speed=min(state.speed, DEFAULT_SPEED))
 
     def _state_with_speed_of_data(self, state: State, place: Place) -> State:
-        """Return the state with the speed of LDAT_ACT. It stays if LDAT_ACT lacks it."""
-        data = self._structure_value("LDAT_ACT", place)
-        if isinstance(data, Aggregate) and "VEL" not in data.items:
-            return state
+        """Return the state with the speed of LDAT_ACT; it is not known if LDAT_ACT lacks it."""
         return self._state_with_speed(state, place, self._reference("LDAT_ACT", "VEL", place))
 
     def _state_after_cp_dat(self, state: State, place: Place) -> State:

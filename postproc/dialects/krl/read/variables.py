@@ -76,6 +76,9 @@ PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: the variable may keep the missing components, or lack them, so that a motion keeps the
 components of the robot position."""
 _LONE_MEMBER = "its structure had no value as a whole: give all members at once before"
+_ACTIVE_DATA = frozenset({"FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})
+"""Structures that the `$config.dat` always declares, with all members: an assigned member is known also where that file
+is not read."""
 _BEYOND_INT = UnknownValue(reason="what becomes of an INT beyond 32 bits is in no source")
 _ROUNDING_TOLERANCE = 1e-5
 """A REAL closer to the middle between two INTs than this share of its size may be rounded to either: a controller has
@@ -330,6 +333,8 @@ class Variables:
         name = variable_of(key)
         if name not in self.change_places:
             self.change_places[name] = str(place)
+        if name in _ACTIVE_DATA and old_value in (None, NO_VALUE):
+            old_value = Aggregate(place.source, 0, 0, "", {}, is_computed=True)
         if not isinstance(old_value, UnknownValue) or not old_value.reason:
             self.put(key, self._value_with_component(old_value, field, value, place))
 
