@@ -612,6 +612,14 @@ def test_speed_and_approximation_in_force(lines, feed, cdis):
     assert program.motions.blend[0] == pytest.approx(cdis / 1000)
 
 
+def test_defaults_of_the_config_dat_are_those_of_bas():
+    data = "DEFDAT part PUBLIC\r\nREAL DEF_VEL_CP=1.0\r\nREAL DEF_APO_CDIS=1.5\r\nENDDAT\r\n"
+    lines = ("LDAT_ACT={VEL 2,APO_DIST 2}", "BAS(#CP_DAT)", FULL + " C_DIS", "BAS(#INITMOV,0)", FULL + " C_DIS")
+    motions = read(body(FULL + " C_DIS", *lines), data).motions
+    assert motions.feed.tolist() == [1.0, 1.0, 1.0]
+    np.testing.assert_allclose(motions.blend, [1.5e-3, 2e-3, 1.5e-3])
+
+
 def test_the_default_speed_is_told():
     program = read(body(FULL, "$VEL.CP=0.1", FULL))
     assert program.motions.feed.tolist() == [2.0, 0.1]

@@ -15,8 +15,9 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import VariableValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
-from postproc.dialects.krl.read.state import DEFAULT_SPEED, FIELDS, State
+from postproc.dialects.krl.read.state import DEFAULT_CDIS, DEFAULT_SPEED, FIELDS, State
 from postproc.dialects.krl.read.variables import Variables
+from postproc.frames import M_PER_MM
 
 _SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "wrist_mode"}
 """Variables of spline motions, which BAS does not set, and the fields of the `State` that they set."""
@@ -126,6 +127,8 @@ class Bas:
         spline_fields = {field: getattr(state, field) for field in _SPLINE_VARIABLES.values()}
         initial_state = State(
             **spline_fields,
+            speed=self._default("DEF_VEL_CP", DEFAULT_SPEED, place),
+            cdis=self._default("DEF_APO_CDIS", DEFAULT_CDIS, place) * M_PER_MM,
             uncertain_fields=tuple((field, index) for field, index in state.uncertain_fields if field in spline_fields),
         )
         initmov = self.cell.krl.initmov
@@ -151,6 +154,11 @@ class Bas:
         """Return the value of a structure that a command of BAS reads: LDAT_ACT or FDAT_ACT."""
         return self.variables.evaluate(self._reference(name, None, place))
 
+    def _default(self, name: str, usual_value: float, place: Place) -> float:
+        """Return a default value that the `$config.dat` states; the usual one if it is not known."""
+        number = self.variables.number(self._reference(name, None, place))
+        return usual_value if number is None else number
+
     def _reference(self, name: str, field: str | None, place: Place) -> Reference:
         """Return a reference to a structure or to one of its fields, as if the call of BAS contained it.
 
@@ -163,7 +171,7 @@ class Bas:
     def _state_with_speed(self, state: State, place: Place, speed: Value) -> State:
         """Return the state after VEL_CP of BAS: `$VEL.CP`, at most DEF_VEL_CP."""
         state = self.path.state_with_speed(state, place, "CP", speed)
-        return replace(state, speed=min(state.speed, DEFAULT_SPEED))
+        return replace(state, speed=min(state.speed, self._default("DEF_VEL_CP", DEFAULT_SPEED, place)))
 
     def _state_with_speed_of_data(self, state: State, place: Place) -> State:
         """Return the state with the speed of LDAT_ACT; it is not known if LDAT_ACT lacks it."""
