@@ -492,6 +492,19 @@ def test_a_sensor_that_moves_the_robot_is_refused(call):
     assert caught.value.line == 5
 
 
+@pytest.mark.parametrize(
+    "loop",
+    [
+        ["LOOP", "IF $IN[1] THEN", "EXIT", "ENDIF", "ENDLOOP"],
+        ["LOOP", "WAIT SEC 0.1", "I=I+1", "IF I>5 THEN", "EXIT", "ENDIF", "IF $IN[2] THEN", "I=9", "ENDIF", "ENDLOOP"],
+        ["LOOP", "SWITCH I", "CASE 1", "EXIT", "ENDSWITCH", "ENDLOOP"],
+    ],
+)
+def test_a_loop_without_motions_that_an_input_ends_is_complete(loop):
+    program = read_lines("LIN XP1", *loop, "LIN XP3")
+    assert len(program.motions) == 2
+
+
 def test_a_call_that_mills_the_points_of_a_file_is_refused():
     with pytest.raises(ProgramError, match="points of a file, which are not in the program") as caught:
         read(body(FULL, 'CR_PROCESS_FILE("job.csv",1,-1,"OK")', FULL))

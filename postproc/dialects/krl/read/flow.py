@@ -396,12 +396,14 @@ class Flow:
         if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
             self._follow_and_record(source, block, self.recorder)
             return
-        counts = self.run.finding_counts()
+        counts, open_structures = self.run.finding_counts(), self.run.level.open_structures
+        open_count = len(open_structures)
         self._motionless_depth += 1
         try:
             self._follow_exactly(source, block, recorder=None)
         except InexactError:
             self.run.drop_findings(counts)
+            del open_structures[open_count:]  # an EXIT in an IF ends the round before ENDIF closes it
             self.follow_roughly(source, block)
         finally:
             self._motionless_depth -= 1
