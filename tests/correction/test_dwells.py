@@ -31,6 +31,8 @@ def test_a_corrected_program_that_waits_in_material_is_warned_of(text, lines):
     ends = np.isin(result.source_line, lines) & (result.t == 1.0) & ~result.rapid
     beyond = 1e3 * np.linalg.norm(result.deflection[ends], axis=1).max()
     assert beyond > 0.1
+    commanded = np.linalg.norm(result.printed[ends, :3] - 1e3 * result.nominal.position[ends], axis=1).max()
+    assert beyond == pytest.approx(commanded, rel=0.02)  # from the nominal place to the commanded one
     assert f"cuts up to {beyond:.2f} mm beyond the nominal one" in issue.message
 
 

@@ -39,7 +39,7 @@ from postproc.dialects.krl.read.comments import force_comment_lines
 from postproc.dialects.krl.read.folder import Library
 from postproc.dialects.krl.read.known import Scope, stored_originals
 from postproc.dialects.krl.read.motion_reader import depends_on_position, keeps_position, reads_robot_position
-from postproc.dialects.krl.read.waits import waits_on
+from postproc.dialects.krl.read.waits import wait_time
 from postproc.errors import ProgramError
 
 _CLOSING = frozenset({*OPENING.values(), "UNTIL"})
@@ -377,7 +377,7 @@ class _Statement(Struct, eq=False):
         if isinstance(stmt, Declaration | IdleDeclaration | Import | FaultyStatement):
             return
         if stmt.word in ("WAIT", "HALT"):
-            self.effects.waits = self.effects.waits or waits_on(self.place.source, self.place.line)
+            self.effects.waits = self.effects.waits or wait_time(self.place.source, self.place.line) != 0.0
         if stmt.word == "BAS":
             command = command_of(self.place.source, stmt.call) if isinstance(stmt, CallStatement) else ""
             for name in BAS_SETS.get(command, ()):

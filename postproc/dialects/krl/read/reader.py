@@ -254,7 +254,7 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=(*remarks(course, layout.line), *waits(course, layout.line, run.waiting_calls)),
+            events=(*remarks(course, layout.line), *waits(course, self._routines(), layout.line, run.waiting_calls)),
             notes=tuple(note for _, note in order.notes),
             still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
@@ -313,6 +313,11 @@ class _Reading(Struct, frozen=True, eq=False):
             if main.run.analysis.effects_of(module, routine).motion
         }
         return documents, find_needed_files(documents, code, library.files, moving_files)
+
+    def _routines(self) -> Iterator[Routine]:
+        """Yield all routines of the program and of the files that have been read."""
+        for module in (self.library.program, *self.library.read_modules()):
+            yield from module.routines.values()
 
     def _module_with_data(self, program: Module) -> Module:
         """Return the module of the program with its `.dat`, if there is one."""

@@ -9,31 +9,38 @@ from collections.abc import Iterable
 import numpy as np
 
 from postproc.dialects.krl.course import Course
+from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
 from postproc.program import Event, Ints
 
 _WAIT = re.compile(
-    r"^[ \t]*(?:WAIT[ \t]+SEC\b(?P<time>[^;\r\n]*)|WAIT[ \t]+FOR\b(?P<condition>[^;\r\n]*)|HALT\b)",
-    re.IGNORECASE | re.MULTILINE,
+    r"WAIT[ \t]+SEC\b(?P<time>.*)|WAIT[ \t]+FOR\b[ \t(]*(?P<is_true>TRUE[ \t)]*\Z)?|HALT\b", re.IGNORECASE
 )
+_FIRST_CHARACTERS = frozenset("WwHh \t")
+"""A line that waits begins with one of these: the word, or blanks before it."""
 
 
-def waits(course: Course, motions: Ints, waiting_calls: Iterable[int]) -> tuple[Event, ...]:
+def waits(
+    course: Course, routines: Iterable[Routine], motions: Ints, waiting_calls: Iterable[int]
+) -> tuple[Event, ...]:
     """Return the waits of a program in execution order, each as a dwell at the next motion.
 
+    :param routines: the routines whose lines may be in the trace.
     :param motions: (M,) lines of the motions in the trace.
     :param waiting_calls: rows of the trace that call a routine which waits and is not in the trace.
     :returns: their value is the time [s]; NaN if it is not a number, or depends on a condition.
     """
     time_of_row = dict.fromkeys(waiting_calls, math.nan)
-    for source in course.trace.sources:
-        matches = [match for match in _WAIT.finditer(source.text) if _time(match) != 0.0]
-        lines = np.array([source.line_at(match.start()) for match in matches], dtype=np.int64)
-        rows, index = course.rows_of(source, lines)
+    for routine in routines:
+        if routine.source not in course.trace.sources:
+            continue
+        times = {line: time for line in routine.other_lines if (time := wait_time(routine.source, line)) != 0.0}
+        lines = np.array(list(times), dtype=np.int64)
+        rows, index = course.rows_of(routine.source, lines)
         if course.may_run is not None:
             is_run = course.may_run[rows - 1]
             rows, index = rows[is_run], index[is_run]
-        time_of_row |= {row: _time(matches[k]) for row, k in zip(rows.tolist(), index.tolist(), strict=True)}
+        time_of_row |= {row: times[line] for row, line in zip(rows.tolist(), lines[index].tolist(), strict=True)}
     return tuple(
         Event(
             before=int(np.searchsorted(motions, row)),
@@ -45,20 +52,17 @@ def waits(course: Course, motions: Ints, waiting_calls: Iterable[int]) -> tuple[
     )
 
 
-def waits_on(source: Source, line: int) -> bool:
-    """Return whether a line waits."""
-    match = _WAIT.match(source.text, source.starts[line - 1])
-    return match is not None and _time(match) != 0.0
+def wait_time(source: Source, line: int) -> float:
+    """Return how long a line with code waits [s]: NaN if the time is an expression, or depends on a condition.
 
-
-def _time(wait: re.Match[str]) -> float:
-    """Return the time of a wait [s]: 0 for ``WAIT SEC 0`` and ``WAIT FOR TRUE``, which only stop the advance run.
-
-    NaN if it is an expression, or depends on a condition.
+    0 if it does not wait; ``WAIT SEC 0`` and ``WAIT FOR TRUE`` only stop the advance run.
     """
-    if wait["time"] is None:
-        return 0.0 if (wait["condition"] or "").strip(" \t()").upper() == "TRUE" else math.nan
+    if source.text[source.starts.item(line - 1)] not in _FIRST_CHARACTERS:
+        return 0.0  # decides most lines
+    match = _WAIT.match(source.text, *source.code_span(line))
+    if match is None or match["is_true"]:
+        return 0.0
     try:
-        return float(wait["time"])
+        return float(match["time"] or math.nan)
     except ValueError:
         return math.nan
