@@ -18,6 +18,7 @@ def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, to
     """Return a warning if a program waits where the force deflects the tool by more than the tolerance.
 
     Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
+    Busy waiting, as by ``WHILE NOT $IN[3]``, is not found; a wait that is never reached may be named.
 
     :param motion: (K,) motion of each target.
     :param t: (K,) place of each target on its motion, in (0, 1].

@@ -140,7 +140,7 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
     step_row = _first_differing_step(first, second)
     if row is None and step_row is None and len(first.trace) != len(second.trace):
         return row_count
-    return min((found for found in (row, step_row) if found is not None), default=None)
+    return min((known_row for known_row in (row, step_row) if known_row is not None), default=None)
 
 
 def _first_differing_step(first: Course, second: Course) -> int | None:
@@ -152,7 +152,8 @@ def _first_differing_step(first: Course, second: Course) -> int | None:
         elif isinstance(step, Lines) and isinstance(other_step, Lines) and step.first == other_step.first:
             return min(step.last, other_step.last) + 1
         else:
-            return min((found for found in map(_step_row, (step, other_step)) if found is not None), default=row)
+            step_rows = map(_step_row, (step, other_step))
+            return min((known_row for known_row in step_rows if known_row is not None), default=row)
     return None
 
 
