@@ -39,6 +39,13 @@ OVERWRITE = Option(
     "Replace files that postproc did not write, or not as they are.",
     label="Replace files that were edited",
 )
+DIALECT = Option(
+    ("--dialect",),
+    "dialect",
+    "dialect",
+    "Format of the input: apt, gcode, krl or rapid; default: by the extension.",
+    "NAME",
+)
 SHARED_OPTIONS = (
     Option(("--cell",), "cell", "path", "Cell file: robot, base, tool, tolerances.", required=True),
     Option(
@@ -72,13 +79,7 @@ SHARED_OPTIONS = (
     Option(
         ("-o", "--output"), "output", "path", "Folder to write into; default: corrected/ in the folder of the program."
     ),
-    Option(
-        ("--dialect",),
-        "dialect",
-        "dialect",
-        "Format of the input: apt, gcode, krl or rapid; default: by the extension.",
-        "NAME",
-    ),
+    DIALECT,
     Option(("--json",), "as_json", "flag", "Print the summary as JSON."),
     OVERWRITE,
 )

@@ -27,6 +27,7 @@ _PATH = click.Path(path_type=Path)
     help="Read KRL with motions that are known at run time only: they are listed as not compared.",
 )
 @click.option("-o", "--output", type=_PATH, help="Folder to write into; default: corrected/ in the folder of NOMINAL.")
+@options.dialect_of_either_program
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @options.overwrite
 @click.pass_context

@@ -20,7 +20,7 @@ _PATH = click.Path(path_type=Path)
 @click.option("--stock", type=_PATH, help="Closed mesh of the stock (STL …, mm), instead of that of the process.")
 @click.option("--stock-out", type=_PATH, help="Also write the remaining stock as a closed mesh (.stl, .glb …).")
 @click.option("--base", "base_axes", is_flag=True, help="Forces in $BASE axes, but for arcs; default: FEED.")
-@click.option("--dialect", help="Format of the input; default: by the extension.")
+@options.dialect
 @click.option("--materials", is_flag=True, help="Only list the included materials.")
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as JSON.")
 @options.overwrite

@@ -111,6 +111,13 @@ def _click_option(option: Option) -> Callable[[_Command], _Command]:
 
 
 overwrite = _click_option(actions.OVERWRITE)
+dialect = _click_option(actions.DIALECT)
+dialect_of_either_program = _click_option(
+    actions.DIALECT._replace(
+        help="Format of a program whose extension is not known; if both are known, of NOMINAL; default: by the "
+        "extension."
+    )
+)
 
 
 def shared_options(command: _Command) -> _Command:

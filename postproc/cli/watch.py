@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from glob import has_magic
 from pathlib import Path
 from threading import Event, Thread
 from typing import Any
@@ -12,7 +13,7 @@ from postproc.cli.options import conversion_options, pop_file_options
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=click.Path(path_type=Path), metavar="FOLDER")
 @conversion_options
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Programs at the same time.")
 @click.option(
@@ -25,15 +26,17 @@ def watch(
 ) -> None:
     """Convert programs as they arrive in FOLDER, until Ctrl-C.
 
-    A program is converted when it has not changed for a second. Programs that have been converted before are left as
-    they are, also after a restart. Subfolders are not watched. Network drives may be watched. With --serve,
-    http://127.0.0.1:8350 shows the overview, which reloads itself; other machines cannot open it. With --json each
-    program is one line of JSON.
+    FOLDER is a folder, or a pattern such as "parts/*.prg": with --dialect its files need no known extension. A program
+    is converted when it has not changed for a second. Programs that have been converted before are left as they are,
+    also after a restart. Subfolders are not watched. Network drives may be watched. With --serve, http://127.0.0.1:8350
+    shows the overview, which reloads itself; other machines cannot open it. With --json each program is one line of
+    JSON.
 
     \b
     Examples:
       postproc watch parts --cell cell.toml
       postproc watch parts --cell cell.toml -o corrected --process process.toml --jobs 2 --serve
+      postproc watch "parts/*.prg" --cell cell.toml --dialect rapid
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.cli.outcomes import print_outcome, say
     from postproc.jobs import Settings
@@ -41,15 +44,20 @@ def watch(
     from postproc.jobs.watching import watch as watched
 
     options = pop_file_options(options_of_command)
+    pattern = None
+    if has_magic(folder.name) and not folder.is_dir():
+        folder, pattern = folder.parent, folder.name
     output = options.pop("output", None) or folder / "corrected"
     stop = Event()
     settings = Settings(mode="convert", **options_of_command)
-    outcomes = watched(folder, output, settings, options, workers=jobs, say=say, stop=stop)
+    outcomes = watched(folder, output, settings, options, pattern=pattern, workers=jobs, say=say, stop=stop)
     if serve:
         page_server = server(output, port)
         Thread(target=page_server.serve_forever, daemon=True).start()
         click.echo(f"overview: http://127.0.0.1:{page_server.server_address[1]}", err=as_json)
-    click.echo(f"watching {folder}; results: {output}. Ctrl-C ends it.", err=as_json)
+    click.echo(
+        f"watching {folder if pattern is None else folder / pattern}; results: {output}. Ctrl-C ends it.", err=as_json
+    )
     try:
         for outcome, job in outcomes:
             print_outcome(outcome, job, as_json=as_json)

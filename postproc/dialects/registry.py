@@ -93,12 +93,20 @@ def extensions() -> dict[str, str]:
     return dialect_names
 
 
-def dialect_of_file(path: Path) -> Dialect:
-    """Return the dialect of a file by its extension.
+def has_known_extension(path: Path) -> bool:
+    """Return whether the extension of a file is that of a dialect."""
+    return path.suffix.lower() in extensions()
 
+
+def dialect_of_file(path: Path, name: str | None = None) -> Dialect:
+    """Return the dialect of a file.
+
+    :param name: name of the dialect; None: the extension decides.
     :raises ProgramError: the extension is not known, or is that of a file that cannot be read (`_NO_PROGRAMS`).
-    :raises InputError: the package of the dialect cannot be used.
+    :raises InputError: no dialect has this name, or its package cannot be used.
     """
+    if name is not None:
+        return dialect_of_name(name)
     extension = path.suffix.lower()
     if extension in _EXTENSIONS:
         return dialect_of_name(_EXTENSIONS[extension])

@@ -15,6 +15,7 @@ from postproc import provenance
 from postproc.cell import Cell
 from postproc.comparison import compare
 from postproc.dialects import registry
+from postproc.dialects.dialect import Dialect
 from postproc.errors import InputError, argument
 from postproc.files import add_record, find_foreign_files, json_bytes, recorded_files, refuse, write_whole
 from postproc.forces.sources import extensions
@@ -42,6 +43,8 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     :param cell: cell file.
     :param forces: CSV file of cutting forces, by lines of the nominal program, or process.toml to compute them from.
     :param output: folder to write into; None = a folder `corrected` next to the nominal program.
+    :param dialect: name of the format of the programs whose extension is not known; if both extensions are known, of
+        the nominal program. None: the extensions decide.
     :param keep_unresolved: read KRL with motions that are known at run time only, and list them as not compared.
     :param overwrite: replace files that postproc did not write.
     """
@@ -51,6 +54,7 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
     cell: Path
     forces: Path | None = None
     output: Path | None = None
+    dialect: str | None = None
     keep_unresolved: bool = False
     overwrite: bool = False
 
@@ -59,10 +63,22 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
         """Settings for reading both programs."""
         return Settings(self.cell, keep_unresolved=self.keep_unresolved)
 
+    def dialects(self) -> tuple[Dialect, Dialect]:
+        """Return the dialects of the nominal and of the corrected program.
+
+        :raises ProgramError: an extension is not known, and `dialect` is None.
+        """
+        is_known, is_second_known = map(registry.has_known_extension, (self.nominal, self.corrected))
+        return (
+            registry.dialect_of_file(self.nominal, self.dialect if is_second_known or not is_known else None),
+            registry.dialect_of_file(self.corrected, None if is_second_known else self.dialect),
+        )
+
     def input_files(self) -> list[Path]:
         """Return the input files."""
         programs = (self.nominal, self.corrected)
-        companions = [path for program in programs for path in registry.dialect_of_file(program).companions(program)]
+        pairs = zip(programs, self.dialects(), strict=True)
+        companions = [path for program, dialect in pairs for path in dialect.companions(program)]
         return [*programs, *companions, self.cell, *([] if self.forces is None else [self.forces])]
 
 
@@ -85,8 +101,9 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
     :raises PostprocError: an input is unusable, or an output must not be written.
     """
     cell, robot = load_setup(request.settings)
-    nominal, cell = read_with_start(request.nominal, robot, cell)
-    second_program = read_program(request.corrected, robot, cell)
+    nominal_dialect, second_dialect = request.dialects()
+    nominal, cell = read_with_start(request.nominal, robot, cell, nominal_dialect.name)
+    second_program = read_program(request.corrected, robot, cell, second_dialect.name)
     if not second_program.keeps_text:
         raise InputError(
             "the second program must be a robot program, and this one is G-code",

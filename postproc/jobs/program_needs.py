@@ -153,9 +153,9 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
     :raises ProgramError: the file cannot be read.
     :raises InputError: its extension is not known.
     """
-    name = dialect or registry.dialect_of_file(path).name
+    reader = registry.dialect_of_file(path, dialect)
+    name = reader.name
     documents = read_documents(path, name)
-    reader = registry.dialect_of_name(name)
     survey = Survey()
     if isinstance(reader, CamFormat) and reader.survey is not None:
         survey = reader.survey(documents[0])

@@ -166,7 +166,7 @@ def find_jobs(
         if str(path) in inputs:
             check_utf8(path)
         folder = path.parent / "corrected" if output is None else output
-        read_dialect = dialect or registry.dialect_of_file(path).name
+        read_dialect = registry.dialect_of_file(path, dialect).name
         written_dialect, writer = registry.written_in(read_dialect, to)
         output_name = writer.valid_name(path.stem) if name is None and written_dialect != read_dialect else name
         jobs.append(
@@ -243,7 +243,7 @@ def _callers(unnamed: Sequence[Path], programs: Sequence[Path], dialect: str | N
         folders.setdefault((path.parent, dialect or path.suffix.lower()), []).append(path)
     callers_of: dict[Path, list[Path]] = {}
     for paths in folders.values():
-        reader = registry.dialect_of_name(dialect) if dialect else registry.dialect_of_file(paths[0])
+        reader = registry.dialect_of_file(paths[0], dialect)
         if len(paths) > 1 and isinstance(reader, Calling):
             callers_of |= reader.callers(paths)
     return {path: callers for path, callers in callers_of.items() if path in unnamed}

@@ -32,7 +32,7 @@ def read_program(
     :raises ProgramError: the program is not understood; the message names the file by its path.
     """
     path = Path(path)
-    dialect = dialect or registry.dialect_of_file(path).name
+    dialect = registry.dialect_of_file(path, dialect).name
     documents = read_documents(path, dialect)
     try:
         return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)

@@ -10,11 +10,13 @@ also those that could not be. `server` shows it on this machine: it listens on 1
 
 from __future__ import annotations
 
+import glob
 import json
 import os
 import tempfile
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from fnmatch import fnmatch
 from functools import lru_cache, partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -99,6 +101,7 @@ def watch(
     settings: Settings,
     options: Mapping[str, Any],
     *,
+    pattern: str | None = None,
     workers: int = 1,
     say: Callable[[str], None] = lambda _: None,
     stop: Event | None = None,
@@ -107,6 +110,7 @@ def watch(
 
     :param folder: folder of the programs; `output`: folder to write into.
     :param options: further arguments of `find_jobs`: dialect, forces, to.
+    :param pattern: pattern of the names of the programs, such as ``*.prg``; None: all files with a known extension.
     :param workers: number of local processes.
     :param say: called with a sentence for the user, such as that a folder is missing or a file locked.
     :param stop: event that ends the watch; None: it never ends.
@@ -118,7 +122,7 @@ def watch(
     if output.resolve() == folder.resolve():
         problem = "results in the folder that is watched would be taken for programs that arrive"
         raise InputError(problem, file=str(output), advice="Give another folder with -o.")
-    watcher = _Watcher(folder, output, settings, options, workers, say)
+    watcher = _Watcher(folder, output, settings, options, workers, say, pattern)
     return _outcomes(watcher, Event() if stop is None else stop)
 
 
@@ -207,8 +211,10 @@ class _Watcher:
         options: Mapping[str, Any],
         workers: int,
         say: Callable[[str], None],
+        pattern: str | None = None,
     ) -> None:
         self.folder, self.output, self.settings, self.options = folder, output, settings, options
+        self.pattern = pattern
         force_path: Path | None = options.get("forces")
         self.force_folder = force_path if force_path is not None and force_path.is_dir() else None
         self.plain_options = {**options, "forces": None if self.force_folder else force_path}
@@ -402,7 +408,7 @@ class _Watcher:
         """
         options = {"output": self.output, **self.plain_options}
         try:
-            all_jobs = find_jobs([str(self.folder)], **options)
+            all_jobs = find_jobs([self._input_name()], **options)
         except PostprocError:  # another program of the folder cannot be read yet
             all_jobs = find_jobs([str(path) for path in ready], **options)
         programs = set(ready)
@@ -414,6 +420,11 @@ class _Watcher:
                 self.same_named |= {job.program for job in pair}
                 raise InputError(shared_name_problem(*pair), advice="Nothing was written. Rename one of them.")
         return self._find_forces(job for job in all_jobs if job.program in programs and not job.callers)
+
+    def _input_name(self) -> str:
+        """Return what is watched as `find_jobs` takes it: the folder, or a pattern in it."""
+        folder = str(self.folder)
+        return folder if self.pattern is None else str(Path(glob.escape(folder), self.pattern))
 
     def _jobs_without_forces(self, program: Path) -> list[Job]:
         """Return the job of a program without its file of forces; an empty list if that fails too."""
@@ -466,9 +477,12 @@ class _Watcher:
     def _programs(self) -> list[Path]:
         """Return the programs of the folder; report names that are not UTF-8 once."""
         extensions = registry.extensions()
+        takes_any_extension = self.pattern is not None and self.options.get("dialect") is not None
         programs = []
         for path in self.folder.iterdir():
-            if path.suffix.lower() in extensions and not path.name.startswith((".", "~")) and path.is_file():
+            is_program = takes_any_extension or path.suffix.lower() in extensions
+            is_program = is_program and fnmatch(path.name, self.pattern or "*")
+            if is_program and not path.name.startswith((".", "~")) and path.is_file():
                 if is_utf8(path.name):
                     programs.append(path)
                 else:
@@ -480,7 +494,7 @@ class _Watcher:
 
         Forces that are common to all programs belong to the set-up, and are left out.
         """
-        companions = registry.dialect_of_file(path).companions(path) if self.options.get("dialect") is None else []
+        companions = registry.dialect_of_file(path, self.options.get("dialect")).companions(path)
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
         process_files = [] if process is None or is_common else _files_of_process(process, process.stat())
