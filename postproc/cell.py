@@ -250,10 +250,13 @@ class Rapid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     :param modules: files, relative to the cell, that the controller loads beside the program: tools, work objects and
         other data are read there.
     :param without_effect: routines of other files that neither move the robot nor change data of the module.
+    :param procedures: procedures that are each a run of their own: of modules that have some of them, these are the
+        program, in this order.
     """
 
     modules: list[str] = []
     without_effect: list[str] = []
+    procedures: list[str] = []
 
 
 class ExternalAxis(msgspec.Struct, forbid_unknown_fields=True, frozen=True):

@@ -325,9 +325,9 @@ class Starts(Struct, frozen=True, eq=False):
         previous = changed - 1
         if predecessor is not None:
             changed = distinct(np.append(changed, np.flatnonzero(predecessor != np.arange(len(base)) - 1)))
-            changed = changed[predecessor[changed] >= 0]
             previous = predecessor[changed]
         flange = bases[base[previous]] @ end(previous) @ inverse(tools[tool[previous]])
+        flange[previous < 0] = start_flange_in_root
         if not len(changed) or changed[0] > 0:  # motion 0 begins where the program starts, not at the end of another
             changed = np.concatenate([[0], changed])
             flange = np.concatenate([start_flange_in_root[None], flange])

@@ -318,7 +318,7 @@ def test_a_force_comment_holds_for_the_targets_behind_it(monkeypatch, notes, exp
     made = object.__new__(_Rewriter)
     made.row, made.is_last, made.comment_forces = np.array([0, 0, 1, 1, 2, 2]), np.array([False, True] * 3), "forces"
     made.targets = SimpleNamespace(kind=np.full(6, LIN))
-    made.program = SimpleNamespace(notes=[SimpleNamespace(before=before) for before, _ in notes])
+    made.program = SimpleNamespace(notes=[SimpleNamespace(before=before) for before, _ in notes], after=None)
     made.layout = SimpleNamespace(notes=[SimpleNamespace(trailing=trailing) for _, trailing in notes])
     assert made._missing_force_comments() == {4: "! 4"}
     assert seen == [(expected, 0.0)]

@@ -187,3 +187,24 @@ def test_reports_name_the_tools_and_a_force_by_hand_may_be_of_one(tmp_path):
     assert forces[0].min() > 10.0, "tMill has computed forces"
     rows = read_page((tmp_path / "out" / "part.report.html").read_bytes()).text("operations")
     assert rows.count("tMill") == rows.count("tBall") == 2, "name and tool of each operation"
+
+
+def test_procedures_that_an_input_chooses_cut_one_after_another_from_the_start(tmp_path):
+    """Each slot has the forces of a module of its own; a second pass through the first slot cuts air."""
+    cell = tmp_path / "cell.toml"
+    cell.write_text(f'{ABB_CELL_FILE.read_text()}\n[rapid]\nprocedures = ["one", "two", "again"]\n')
+    routines = "".join(
+        f"  PROC {name}()\n{slot(y, 'tMill')}  ENDPROC\n" for name, y in (("one", 20), ("two", 60), ("again", 20))
+    )
+    text = module(
+        "    IF DInput(di1)=1 THEN\n      one;\n    ELSE\n      two;\n    ENDIF\n    again;\n", routines=routines
+    )
+    process = entries({"tMill": "tMill"})
+    said, forces = mill_module(tmp_path, text, process, cell=cell)
+    assert "goes through" not in said
+    with (tmp_path / "out" / "part.targets.csv").open() as file:
+        largest = {row["source_line"]: float(row["Fx"] or 0.0) for row in csv.DictReader(file)}
+    again = text.splitlines().index("  PROC again()") + 1
+    assert max(abs(force) for line, force in largest.items() if int(line) > again) < 1e-6
+    single = mill_module(tmp_path, module(slot(20, "tMill") + slot(60, "tMill")), process)[1]
+    np.testing.assert_allclose(forces, single, rtol=1e-6)

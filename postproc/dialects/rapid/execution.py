@@ -129,6 +129,19 @@ class EndlessLoop(Struct, frozen=True):
     note_count: int
 
 
+class RunBegin(Struct, frozen=True):
+    """The begin of a run from the start of the program, after another run.
+
+    :ivar start: offset of its procedure.
+    :ivar move_count: number of moves before it; the next one is the motion to the start.
+    :ivar note_count: number of comments before it.
+    """
+
+    start: int
+    move_count: int
+    note_count: int
+
+
 class ExecutedProgram(Struct, eq=False):
     """Result of the execution of a program.
 
@@ -143,6 +156,7 @@ class ExecutedProgram(Struct, eq=False):
     :ivar followed_names: names of the routines that run.
     :ivar cell_data: tools and work objects that are taken from the cell: name → type.
     :ivar endless_loop: the loop without end in which the program stays; None if it ends.
+    :ivar begins: begins of further runs, if several procedures are each a run of their own.
     """
 
     moves: list[Move] = field(default_factory=list)
@@ -155,6 +169,7 @@ class ExecutedProgram(Struct, eq=False):
     followed_names: set[str] = field(default_factory=set)
     cell_data: dict[str, str] = field(default_factory=dict)
     endless_loop: EndlessLoop | None = None
+    begins: list[RunBegin] = field(default_factory=list)
 
 
 def first_difference(first: ExecutedProgram, later: ExecutedProgram) -> int | None:
@@ -577,8 +592,8 @@ class Execution:
         if first_move is not None:
             problem = f"it is not known before the program runs whether {first_move.name} is executed: {reason}"
             advice = (
-                "Put the moves of the part into a procedure without conditions, and name the file like it; or give the "
-                "data a value in the file."
+                "Put the moves of the part into procedures without conditions, and name them in [rapid] procedures of "
+                "the cell; or give the data a value in the file."
             )
             raise RapidError(problem, first_move.start, advice)
         self._check_forces(statements, reason)

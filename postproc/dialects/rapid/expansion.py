@@ -16,6 +16,7 @@ from msgspec import Struct
 from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
 from postproc.dialects.rapid.loaded import LoadedModules
 from postproc.dialects.rapid.next_run import ChangedData, changed_data
+from postproc.dialects.rapid.procedures import follow
 from postproc.dialects.rapid.syntax import Instruction, Loop, Module, Parser, Routine, modules
 from postproc.dialects.rapid.values import Value
 from postproc.dialects.text import line_spans
@@ -37,8 +38,7 @@ class ExpandedProgram(Struct, frozen=True, eq=False):
     :ivar line: (L,) 1-based line of the file from which each line of the text comes.
     :ivar loop_lines: lines, in the file, of loops that were written out.
     :ivar copied_names: names of routines that were copied.
-    :ivar changed_data: data with which the next run moves differently; offsets are those in the file. None without
-        such data.
+    :ivar changed_data: for each procedure whose next run moves differently, the data; offsets are those in the file.
     """
 
     text: str
@@ -47,40 +47,42 @@ class ExpandedProgram(Struct, frozen=True, eq=False):
     line: Ints
     loop_lines: tuple[int, ...]
     copied_names: tuple[str, ...]
-    changed_data: ChangedData | None
+    changed_data: tuple[ChangedData, ...]
 
 
 def expand(
     text: str,
-    entry_of: Callable[[Sequence[Module]], Routine],
+    procedures_of: Callable[[Sequence[Module]], list[Routine]],
     cell_value: Callable[[str, str], Value | None],
     without_effect: Sequence[str],
     loaded: LoadedModules,
+    start_numbers: Sequence[float],
 ) -> ExpandedProgram:
     """Return a program, executed, in which each statement that moves runs once.
 
     :param text: text of the file.
-    :param entry_of: returns the routine that is run, of the modules of a program.
+    :param procedures_of: returns the procedures that are the program, of its modules.
     :param cell_value: see `Execution`.
     :param without_effect: see `Effects`.
     :param loaded: see `Execution`.
+    :param start_numbers: see `procedures.follow`.
     :raises RapidSyntaxError: the text is not RAPID.
     :raises RapidError: the program cannot be followed, or is too long when expanded; with its line in the file.
     """
     line = np.arange(len(line_spans(text)[0])) + 1
     loop_lines: list[int] = []
     copied_names: list[str] = []
-    next_run_data: ChangedData | None = None
+    next_run_data: tuple[ChangedData, ...] = ()
     for pass_number in range(_MOST_PASSES):
         program_modules = modules(text)
-        entry = entry_of(program_modules)
+        entries = procedures_of(program_modules)
         if pass_number == 0:
             loaded = loaded.seen_from(program_modules)
         try:
-            execution = Execution(program_modules, entry, cell_value, without_effect, loaded)
-            executed = execution.run()
+            executions = [Execution(program_modules, entry, cell_value, without_effect, loaded) for entry in entries]
+            executed = follow(executions, start_numbers)
             if pass_number == 0 and not executed.errors:
-                next_run_data = changed_data(execution)
+                next_run_data = tuple(data for data in map(changed_data, executions) if data is not None)
             changes = _first_changes(text, program_modules, executed)
         except RapidError as cause:
             raise cause.set_line(_line_at(text, line, cause.start)) from None
@@ -93,13 +95,14 @@ def expand(
                 copied_names.append(change.copied_name)
             elif change.is_loop:
                 loop_lines.append(_line_at(text, line, change.start))
-        entry_line = _line_at(text, line, entry.start)
+        entry_start = entries[0].start
+        entry_line = _line_at(text, line, entry_start)
         text, line = _apply_changes(text, line, changes)
         if len(text) > _MOST_CHARACTERS:
             problem = "the loops of the program are too long to be written out"
-            raise RapidError(problem, entry.start, _DIVIDE).set_line(entry_line)
+            raise RapidError(problem, entry_start, _DIVIDE).set_line(entry_line)
     problem = "the loops and calls of the program are nested too deeply"
-    raise RapidError(problem, entry.start, _DIVIDE).set_line(entry_line)
+    raise RapidError(problem, entry_start, _DIVIDE).set_line(entry_line)
 
 
 def _line_at(text: str, line: Ints, start: int) -> int:

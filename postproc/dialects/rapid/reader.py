@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from pathlib import PurePath
 from typing import NamedTuple
 
 import numpy as np
@@ -23,14 +22,15 @@ from postproc.chunks import Runs
 from postproc.dialects import circles
 from postproc.dialects.changed_data import changed_data_issue
 from postproc.dialects.circles import ArcColumns
-from postproc.dialects.rapid.execution import EndlessLoop, ExecutedProgram, RapidError
+from postproc.dialects.rapid.execution import EndlessLoop, ExecutedProgram, RapidError, RunBegin
 from postproc.dialects.rapid.expansion import ExpandedProgram, expand
-from postproc.dialects.rapid.language import joints_from_abb, poses, status_from_cfx
+from postproc.dialects.rapid.language import abb_from_joints, joints_from_abb, poses, status_from_cfx
 from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.next_run import ChangedData
-from postproc.dialects.rapid.syntax import Comment, Module, RapidSyntaxError, Routine, Statement, all_statements
+from postproc.dialects.rapid.procedures import program_procedures
+from postproc.dialects.rapid.syntax import Comment, RapidSyntaxError, Statement, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NOT_CONNECTED, UnknownValueError, Value, record_numbers
 from postproc.dialects.text import line_spans
@@ -135,7 +135,9 @@ class _Reader:
             )
         comments, notes = self._notes(expanded_program)
         self._check_force_of_rounds(expanded_program, notes)
-        path = self._motions(execution.moves, line, forward_kinematics)
+        self._check_force_of_runs(expanded_program, notes)
+        predecessor = _predecessors(execution)
+        path = self._motions(execution.moves, line, forward_kinematics, predecessor)
         is_plain = not expanded_program.loop_lines and not expanded_program.copied_names
         all_modules = (*self.loaded.modules, *expanded_program.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
@@ -150,6 +152,7 @@ class _Reader:
             events=self._waits(expanded_program),
             notes=notes,
             issues=tuple(self._issues(expanded_program)),
+            after=predecessor,
             is_wrist_led=path.is_wrist_led if path.is_wrist_led.any() else None,
             turns_with_path=path.turns_with_path if path.turns_with_path.any() else None,
             turn_speeds=_turn_speeds(execution.moves),
@@ -166,9 +169,16 @@ class _Reader:
         """
         text = self.document.text
         try:
-            without_effect = self.cell.rapid.without_effect
-            entry_of = partial(self._entry, name=name)
-            return expand(text, entry_of, self._cell_frame, without_effect, self.loaded)
+            procedures_of = partial(
+                program_procedures,
+                file_name=self.document.name,
+                program_name=name,
+                procedure_names=self.cell.rapid.procedures,
+            )
+            start_numbers = [*abb_from_joints(self.cell.start_joints).tolist(), *[NOT_CONNECTED] * 6]
+            return expand(
+                text, procedures_of, self._cell_frame, self.cell.rapid.without_effect, self.loaded, start_numbers
+            )
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
             # number of lines that begin at or before the offset
@@ -192,41 +202,6 @@ class _Reader:
         return tuple(
             Event(before=count, kind="dwell", line=line, value=np.nan)
             for (_, count), line in zip(waits, lines, strict=True)
-        )
-
-    def _entry(self, modules: Sequence[Module], name: str) -> Routine:
-        """Return the procedure that is the program.
-
-        It is the procedure named like the file, named like the program, or named main, in this order; otherwise the
-        only one without parameters that no other calls.
-
-        :param name: name of the program.
-        :raises ProgramError: there is no procedure, or it is not clear which is the program.
-        """
-        routines = {
-            routine.name: routine for module in modules for routine in module.routines if routine.kind == "PROC"
-        }
-        for candidate in (PurePath(self.document.name).stem.upper(), name.upper(), "MAIN"):
-            if candidate in routines:
-                return routines[candidate]
-        called_names = {
-            statement.name.removeprefix("%")
-            for routine in routines.values()
-            for statement in all_statements(routine.body)
-            if isinstance(statement, RapidInstruction)
-        }
-        uncalled_routines = [
-            routine for routine in routines.values() if routine.name not in called_names and not routine.parameters
-        ]
-        if len(uncalled_routines) == 1:
-            return uncalled_routines[0]
-        if not routines:
-            raise ProgramError("there is no PROC", file=self.document.name, advice="Check that this is the program.")
-        names = first_of([routine.name for routine in (uncalled_routines or routines.values())], _MOST_NAMES)
-        raise ProgramError(
-            f"there is no PROC main, and it is not clear which of these is the program: {names}",
-            file=self.document.name,
-            advice="Name the file like the procedure, or add a PROC main that calls what is to run.",
         )
 
     def _cell_frame(self, name: str, type_: str) -> Value | None:
@@ -281,13 +256,9 @@ class _Reader:
         """
         executed = expanded_program.executed
         loop = executed.endless_loop
-        if loop is None:
+        if loop is None or not _keeps_force(executed, notes, loop):
             return
-        comments_before = executed.notes[: loop.note_count]
-        count = sum(FORCE_COMMENT.match(comment.text) is not None for comment, _ in comments_before)
-        first = next((k for k, move in enumerate(executed.moves) if k >= loop.move_count and move.kind != PTP), None)
-        if first is None or any(note.before <= first for note in notes[count:]):
-            return
+        count = _count_force_comments(executed, loop.note_count)
         # zero forces are equal in all axes
         begin, end = (
             [(note.wrench, note.frame) for note in acting[-1:] if any(note.wrench)] for acting in (notes[:count], notes)
@@ -297,17 +268,41 @@ class _Reader:
             advice = "Write a force comment, such as FORCE OFF, before the first move of the loop."
             raise self._error(problem, self._loop_line(expanded_program, loop), advice)
 
+    def _check_force_of_runs(self, expanded_program: ExpandedProgram, notes: Sequence[ForceNote]) -> None:
+        """Refuse a run whose first straight or circular move would have the force with which the run before it ends.
+
+        Whether that run is before it is not known. A force comment before the move decides.
+
+        :param notes: the force comments, in order.
+        :raises ProgramError: the force does not vanish.
+        """
+        executed = expanded_program.executed
+        for begin in executed.begins:
+            acting = notes[: _count_force_comments(executed, begin.note_count)][-1:]
+            if _keeps_force(executed, notes, begin) and any(any(note.wrench) for note in acting):
+                problem = "the procedure before this one ends under a force, and it is not known whether it runs before"
+                advice = "Write a force comment, such as FORCE OFF, at the end of that procedure."
+                line = int(self._file_lines(expanded_program, np.array([begin.start]))[0])
+                raise self._error(problem, line, advice)
+
     def _loop_line(self, expanded_program: ExpandedProgram, loop: EndlessLoop) -> int:
         """Return the line of a loop without end in the file."""
         return int(self._file_lines(expanded_program, np.array([loop.start]))[0])
 
     # --- motions
 
-    def _motions(self, moves: list[Move], line: Ints, forward_kinematics: Callable[[Array], Array]) -> _Path:
+    def _motions(
+        self,
+        moves: list[Move],
+        line: Ints,
+        forward_kinematics: Callable[[Array], Array],
+        predecessor: Ints | None,
+    ) -> _Path:
         """Return the motions of M moves.
 
         :param line: (M,) lines of the moves in the file.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
+        :param predecessor: see `Program.after`.
         :raises ProgramError: a number or frame of a move is not valid, or its way of turning the tool is not known.
         """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
@@ -323,7 +318,7 @@ class _Reader:
         if has_joints.any():
             numbers[has_joints] = xyzabc_from_pose(pose[has_joints])
         frames = FrameColumns(base, tool, bases, tools)
-        starts = Starts.of(frames, pose.__getitem__, forward_kinematics(self.cell.start_joints))
+        starts = Starts.of(frames, pose.__getitem__, forward_kinematics(self.cell.start_joints), predecessor)
         start = starts.at(np.arange(len(line)))
         arcs = self._arcs(moves, start, pose, line, kind == CIRC)
         is_wrist_led, turns_with_path = self._turning_modes(moves, kind, start, pose, line)
@@ -575,13 +570,18 @@ class _Reader:
             line = int(self._file_lines(expanded_program, np.array([first_call_offset]))[0])
             yield Issue("warning", "external-call", message, line, subject=name.upper(), count=count)
         yield from self._cell_frame_issues(execution)
-        yield from self._changed_data_issues(expanded_program.changed_data)
+        for changed_data in expanded_program.changed_data:
+            yield self._changed_data_issue(changed_data)
         yield from self._uncalled_issues(expanded_program)
         if execution.endless_loop is not None:
             message = (
                 "WHILE TRUE never ends: one round is corrected, and is what all rounds do. What follows it never runs."
             )
             yield Issue("info", "endless-loop", message, self._loop_line(expanded_program, execution.endless_loop))
+        if execution.begins:
+            names = first_of(self.cell.rapid.procedures, _MOST_NAMES)
+            message = f"Procedures that the cell names are corrected, each as a run of its own from [start]: {names}."
+            yield Issue("info", "procedures", message)
         if expanded_program.loop_lines:
             lines = line_names(sorted(set(expanded_program.loop_lines)), _MOST_NAMES)
             message = f"Loops with moves are written out, round by round ({lines}): each round has its own targets."
@@ -591,10 +591,8 @@ class _Reader:
             message = f"Routines with moves that are called more than once get a copy for each call: {names}."
             yield Issue("info", "routine-copied", message)
 
-    def _changed_data_issues(self, changed_data: ChangedData | None) -> Iterator[Issue]:
-        """Yield a warning if a later run of the program moves differently."""
-        if changed_data is None:
-            return
+    def _changed_data_issue(self, changed_data: ChangedData) -> Issue:
+        """Return a warning that a later run of the program moves differently."""
 
         def file_line(start: int) -> int:
             """Return the line of the file at an offset."""
@@ -606,7 +604,7 @@ class _Reader:
             suffix = ", VAR: until PP to Main" if name in changed_data.variables else ""
             change_places[name] = f"{place}{suffix}"
         line = file_line(changed_data.start)
-        yield changed_data_issue(change_places, line, is_certain=changed_data.is_certain)
+        return changed_data_issue(change_places, line, is_certain=changed_data.is_certain)
 
     def _uncalled_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
         """Yield a warning for each routine that moves and is not called."""
@@ -639,6 +637,37 @@ class _FrameOfCell:
     def __repr__(self) -> str:
         """Return a text by which the reader compares the frame with values of other tools and work objects."""
         return f"cell {self.pose.tolist()}"
+
+
+def _predecessors(execution: ExecutedProgram) -> Ints | None:
+    """Return `Program.after` of M moves: runs begin at the start of the program. None if there is one run."""
+    if not execution.begins:
+        return None
+    predecessor = np.arange(len(execution.moves)) - 1
+    predecessor[[begin.move_count for begin in execution.begins]] = -1
+    return predecessor
+
+
+def _count_force_comments(executed: ExecutedProgram, note_count: int) -> int:
+    """Return the number of force comments among the first comments of a program.
+
+    :param note_count: number of these comments.
+    """
+    return sum(FORCE_COMMENT.match(comment.text) is not None for comment, _ in executed.notes[:note_count])
+
+
+def _keeps_force(executed: ExecutedProgram, notes: Sequence[ForceNote], begin: EndlessLoop | RunBegin) -> bool:
+    """Return whether the first straight or circular move of a loop or run has the force that holds before it.
+
+    Otherwise a force comment before this move, in the loop or run, decides, or there is no such move.
+
+    :param notes: the force comments, in order.
+    """
+    ends = [later.move_count for later in executed.begins if later.move_count > begin.move_count]
+    moves = enumerate(executed.moves[begin.move_count : min(ends, default=None)], begin.move_count)
+    first = next((row for row, move in moves if move.kind != PTP), None)
+    count = _count_force_comments(executed, begin.note_count)
+    return first is not None and not any(note.before <= first for note in notes[count:])
 
 
 def _is_move(statement: Statement) -> bool:

@@ -13,7 +13,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Sequence
-from itertools import accumulate
+from itertools import accumulate, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -178,10 +178,29 @@ class _Rewriter:
         target_keys = 2 * self.row + self.is_last
         # the last comment that applies to each target; −1: none
         note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
-        rows = np.flatnonzero(
-            force_comments.needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, 0.0)
+        needs_comment = force_comments.needs_comment(
+            self.comment_forces, self.targets.kind, note, self.program.notes, 0.0
         )
+        needs_comment[self._first_cuts(2 * note_motions + trailing, target_keys)] = True
+        rows = np.flatnonzero(needs_comment)
         return dict(zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True))
+
+    def _first_cuts(self, note_keys: Ints, target_keys: Ints) -> list[int]:
+        """Return the first straight or circular target of each further run, unless the run has a comment before it.
+
+        The force of the run before does not hold there, see `Program.after`.
+
+        :param note_keys: order of the force comments of the program among the targets; `target_keys`: (K,) of these.
+        """
+        if self.program.after is None:
+            return []
+        begins = np.append(np.flatnonzero(self.program.after[1:] < 0) + 1, len(self.moves))
+        rows: list[int] = []
+        for begin, end in pairwise(begins.tolist()):
+            cuts = np.flatnonzero((self.row >= begin) & (self.row < end) & (self.targets.kind != PTP))
+            if len(cuts) and not ((note_keys > 2 * begin + 1) & (note_keys <= target_keys[cuts[0]])).any():
+                rows.append(int(cuts[0]))
+        return rows
 
     def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
         """Add the lines of inserted targets and of force comments before a move.
