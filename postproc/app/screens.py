@@ -22,6 +22,7 @@ from postproc.app.runs import Run, command_line
 from postproc.app.testpart import SENT_FILES as PART_FILES
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Item, Workspace
+from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs.cell_edit import FRAMES, feed_rule, frame_tables, robot_name, table_help, uses_model
 from postproc.jobs.cell_picture import cell_picture
@@ -344,7 +345,7 @@ def program_page(
     stem = Path(item.entry.page.removesuffix(".report.html") if item.entry else item.name).stem
     file_names = sorted(path.name for path in workspace.results.glob(f"{stem}*")) if item.entry else []
     files = [name for name in file_names if Path(name).suffix.lower() in MEDIA_TYPES and not name.endswith(".json")]
-    place = workspace.results / f"place-{Path(item.name).stem}"
+    place = workspace.results / f"place-{registry.program_name(Path(item.name))}"
     return _page(
         "program.html",
         here="programs",

@@ -20,6 +20,7 @@ from postproc.app.models import file_of_name, identify_arguments
 from postproc.app.runs import Run, Runs, command_line
 from postproc.app.testpart import TestPart
 from postproc.app.workspace import MEDIA_TYPES, RESULTS, Workspace
+from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.files.fault_log import write_fault
 from postproc.jobs.cell_edit import (
@@ -262,8 +263,8 @@ class _Handler(BaseHTTPRequestHandler):
         """
         workspace, name = self.server.workspace, self.query.get("name", "")
         program = workspace.usable_program(name)
-        answers = load_answers(workspace.results / f"{program.stem}.answers.toml", program)
-        process = workspace.results / f"{program.stem}.process.toml"
+        answers = load_answers(workspace.results / f"{registry.program_name(program)}.answers.toml", program)
+        process = workspace.results / f"{registry.program_name(program)}.process.toml"
         needs = needs_of(program)
         is_asked = {"cell": not is_edited(workspace.cell, answers), "process": not is_edited(process, answers)}
         kept_texts = answers.answers | ({CHECKED_KEY: "1"} if "stock" in answers.answers else {})
@@ -303,7 +304,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise InputError(f"{name} is no program")
         results = list(workspace.results.iterdir()) if workspace.results.is_dir() else []
         # the results of this program come first: False sorts before True
-        results.sort(key=lambda path: (path.stem.lower() != Path(name).stem.lower(), path.name))
+        results.sort(key=lambda path: (path.stem.lower() != registry.program_name(Path(name)).lower(), path.name))
         other_programs = [f"{RESULTS}/{path.name}" for path in results if path.suffix in _PROGRAM_SUFFIXES]
         other_programs += [other_program.name for other_program in workspace.items() if other_program.name != name]
         command = command_line(workspace.conversion_arguments(name))
@@ -479,7 +480,7 @@ class _Handler(BaseHTTPRequestHandler):
         :raises InputError: there is no such program, or the command cannot begin.
         """
         name = self._program_name(self.posted_form())
-        folder = f"{RESULTS}/place-{Path(name).stem}"
+        folder = f"{RESULTS}/place-{registry.program_name(Path(name))}"
         self.begin_command(
             name, f"Best place for {name}", self.server.workspace.command_arguments("place", name, output=folder)
         )

@@ -117,10 +117,8 @@ class Workspace(Struct, frozen=True):
 
     def _program_names(self) -> list[str]:
         """Return the names of the programs of the folder, sorted."""
-        extensions = set(registry.extensions())
-        return sorted(
-            path.name for path in self.folder.iterdir() if path.suffix.lower() in extensions and path.is_file()
-        )
+        paths = (path for path in self.folder.iterdir() if registry.has_known_extension(path) and path.is_file())
+        return [path.name for path in registry.newest_versions(sorted(paths))]
 
     def result_file(self, name: str) -> Path:
         """Return the path of a result, in `RESULTS` or a folder of it: ``part.report.html``, ``place/place.html``.
@@ -144,7 +142,8 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: no best place was found for it yet.
         """
-        return self.path_in_folder(_path_in_folder(self.results / f"place-{Path(name).stem}", "place.toml"))
+        folder = self.results / f"place-{registry.program_name(Path(name))}"
+        return self.path_in_folder(_path_in_folder(folder, "place.toml"))
 
     def path_in_folder(self, path: Path) -> Path:
         """Return a path unchanged, after checking that no symbolic link leads out of `folder`.
@@ -165,7 +164,8 @@ class Workspace(Struct, frozen=True):
 
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be written if it has none."""
-        return self.process_file(name) or self.results / f"{self.program_file(name).stem}.process.toml"
+        program = self.program_file(name)
+        return self.process_file(name) or self.results / f"{registry.program_name(program)}.process.toml"
 
     def conversion_arguments(self, name: str) -> list[str]:
         """Return the arguments of the command that corrects a program."""
@@ -183,7 +183,7 @@ class Workspace(Struct, frozen=True):
 
     def stamp(self) -> str:
         """Return a text that changes when a program, a result, the cell or a process file changes."""
-        kinds = (*registry.extensions(), ".toml")
+        kinds = (*(name.lower() for name in self._program_names()), ".toml")
         content = stamps({self.folder: kinds, self.results: (".toml", ".report.json")})
         return hashlib.sha256(repr(content).encode(errors="replace")).hexdigest()
 
@@ -248,7 +248,7 @@ class Workspace(Struct, frozen=True):
         # 200 of the 255 bytes that file systems allow: results have longer names
         if _REFUSED_NAME.search(name) or len(name.encode(errors="replace")) > 200:
             raise InputError(f"{name!r} is no name of a program", advice="Rename the file.")
-        if Path(name).suffix.lower() not in registry.extensions():
+        if not registry.has_known_extension(Path(name)):
             kinds = " ".join(sorted(registry.extensions()))
             raise InputError(f"{name}: no known kind of program", advice=f"Known are {kinds}.")
         if not 0 < size <= LARGEST_BYTES:
@@ -297,7 +297,7 @@ def _name_fault(name: str, names: Sequence[str]) -> str:
 @cache
 def _written_stems(name: str) -> frozenset[str]:
     """Return the names, without extension and in lower case, that written files of a program may have."""
-    stem = Path(name).stem
+    stem = registry.program_name(Path(name))
     stems = {stem}  # of the reports; written programs have a name that their language allows
     for language in _LANGUAGES:
         _, writer = registry.written_in(language)

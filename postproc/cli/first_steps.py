@@ -233,8 +233,7 @@ def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
     """
     from postproc.dialects import registry
 
-    extensions = registry.extensions()
-    programs = [file for file in files if file.suffix.lower() in extensions]
+    programs = [file for file in files if registry.has_known_extension(file)]
     cells = [file for file in files if file not in programs]
     if len(cells) > 1:
         raise click.UsageError(f"Two cell files: {cells[0]} and {cells[1]}. Name one, and programs with an extension.")

@@ -76,6 +76,7 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
       postproc start part.nc
       postproc start part.nc --robot kuka_kr270 --base 1500,0,700 --tool 0,0,350 --material al_7075_hss --flutes 3
     """  # noqa: D301 - click: keep these lines as they are
+    from postproc.dialects import registry
     from postproc.jobs.guided_start import Answers, is_edited, load_answers, write_files
     from postproc.jobs.program_needs import needs_of
 
@@ -84,12 +85,13 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     if needs.refusal:
         raise click.ClickException(f"{needs.refusal}\nNo answer makes this program readable: nothing was asked.")
     folder = program.parent / "corrected" if output is None else output
-    answers_path = folder / f"{program.stem}.answers.toml"
+    name = registry.program_name(program)
+    answers_path = folder / f"{name}.answers.toml"
     answer_file = load_answers(answers_path, program)
     cell, process = options["cell_file"], options["process_file"] or options["forces"]
     keep_cell = cell is not None or (is_edited(folder / "cell.toml", answer_file) and not options["overwrite"])
     cell = cell or folder / "cell.toml"
-    process_path = folder / f"{program.stem}.process.toml"
+    process_path = folder / f"{name}.process.toml"
     keep_process = process is not None or (is_edited(process_path, answer_file) and not options["overwrite"])
     if process is None and (keep_process or not needs.has_forces):
         process = process_path

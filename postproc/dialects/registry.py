@@ -10,6 +10,8 @@ A dialect that cannot be imported raises no error until it is needed; `broken_di
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -37,6 +39,8 @@ _EXTENSIONS = {
     ".modx": "rapid",
 }
 """Extensions of our own dialects; stated here so that a dialect need not be imported to get its extensions."""
+_VERSIONED = re.compile(r"(.+\.ncl)\.(\d{1,9})", re.IGNORECASE)
+"""Name of a cutter-location file of Creo, which keeps each version as a file, and the number of the version."""
 _DEFAULT_OUTPUT = "krl"
 """Dialect of the output if the dialect of the program cannot be written."""
 _NO_PROGRAMS = {
@@ -93,9 +97,35 @@ def extensions() -> dict[str, str]:
     return dialect_names
 
 
+def without_version(path: Path) -> Path:
+    """Return the path of a file without the number of its version, which Creo puts behind `.ncl`: ``part.ncl.3``."""
+    match = _VERSIONED.fullmatch(path.name)
+    return path if match is None else path.with_name(match[1])
+
+
+def program_name(path: Path) -> str:
+    """Return the name of the program in a file: that of the file, without extension and version."""
+    return without_version(path).stem
+
+
 def has_known_extension(path: Path) -> bool:
     """Return whether the extension of a file is that of a dialect."""
-    return path.suffix.lower() in extensions()
+    return without_version(path).suffix.lower() in extensions()
+
+
+def newest_versions(paths: Iterable[Path]) -> list[Path]:
+    """Return paths without older versions of other paths, in order."""
+    newest: dict[Path, Path] = {}
+    for path in paths:
+        unversioned_path = without_version(path)
+        newest[unversioned_path] = max(newest.get(unversioned_path, path), path, key=_version)
+    return list(newest.values())
+
+
+def _version(path: Path) -> int:
+    """Return the number of the version of a file; 0 if its name has none."""
+    match = _VERSIONED.fullmatch(path.name)
+    return 0 if match is None else int(match[2])
 
 
 def dialect_of_file(path: Path, name: str | None = None) -> Dialect:
@@ -107,7 +137,7 @@ def dialect_of_file(path: Path, name: str | None = None) -> Dialect:
     """
     if name is not None:
         return dialect_of_name(name)
-    extension = path.suffix.lower()
+    extension = without_version(path).suffix.lower()
     if extension in _EXTENSIONS:
         return dialect_of_name(_EXTENSIONS[extension])
     dialect_names = extensions()

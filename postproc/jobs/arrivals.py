@@ -109,15 +109,15 @@ class Arrivals:
 
     def _programs(self) -> list[Path]:
         """Return the programs of the folder, sorted; hidden and temporary files and names not in UTF-8 are left out."""
-        extensions = registry.extensions()
-        return sorted(
+        programs = (
             path
             for path in self.folder.iterdir()
-            if path.suffix.lower() in extensions
+            if registry.has_known_extension(path)
             and not path.name.startswith((".", "~"))
             and is_utf8(path.name)
             and path.is_file()
         )
+        return registry.newest_versions(sorted(programs))
 
     def _setup_files(self) -> list[Path]:
         """Return the files of cell and robot; the cell file alone if the cell is unusable."""

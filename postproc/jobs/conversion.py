@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from postproc import correction, files, forces, provenance, report
 from postproc.cell import Cell
 from postproc.correction import Result
+from postproc.dialects import registry
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
@@ -342,11 +343,12 @@ def _under_job_name(result: Result, job: Job, settings: Settings) -> Result:
     """
     if job.keeps_text and job.name is not None:
         result = replace(result, documents=job.writer.rename(result.documents, job.name))
-    fault = job.writer.fault_of(job.program.stem)
+    name = registry.program_name(job.program)
+    fault = job.writer.fault_of(name)
     if settings.mode == "predict" or job.keeps_text or fault is None:
         return result
     file_name = f"{job.stem}{job.writer.extension}"
-    note = f"written as {file_name}: the controller does not accept the name {job.program.stem!r}, {fault}."
+    note = f"written as {file_name}: the controller does not accept the name {name!r}, {fault}."
     return replace(result, issues=(*result.issues, Issue("info", "name", note)))
 
 
@@ -366,7 +368,7 @@ def check_held_feed(cell: Cell, *, process: bool) -> None:
 
 def _name_force_file(issue: Issue, job: Job) -> Issue:
     """Return an issue; one that says that forces are missing names the force file next to the program, if it exists."""
-    force_file = job.program.with_name(f"{job.program.stem}.forces.csv")
+    force_file = job.program.with_name(f"{registry.program_name(job.program)}.forces.csv")
     if issue.kind != "no-force" or not force_file.is_file():
         return issue
     return replace(

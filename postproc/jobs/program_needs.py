@@ -159,7 +159,7 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
     survey = Survey()
     if isinstance(reader, CamFormat) and reader.survey is not None:
         survey = reader.survey(documents[0])
-    trial = _Trial(documents, name, path.stem, survey)
+    trial = _Trial(documents, name, registry.program_name(path), survey)
     program, refusal, settings = trial.outcome()
     frames = () if program is None else trial.needed_frames()
     changes = survey.tool_changes

@@ -85,7 +85,8 @@ class Job(Struct, frozen=True):
 
     def report_name(self, mode: Mode) -> str:
         """Return the name of the report that says what was written (`report.json`)."""
-        return f"{self.program.stem}.predict.report.json" if mode == "predict" else f"{self.stem}.report.json"
+        name = registry.program_name(self.program)
+        return f"{name}.predict.report.json" if mode == "predict" else f"{self.stem}.report.json"
 
     def output_names(self, mode: Mode) -> list[str]:
         """Return the names of the files that may be written: programs, then reports."""
@@ -143,7 +144,7 @@ def find_jobs(
     A program that other programs call, and that the user did not name itself, has `Job.callers`.
 
     :param inputs: files, folders, patterns. Of a folder or pattern, files with a known extension are taken; with a
-        `dialect`, all files that a pattern matches.
+        `dialect`, all files that a pattern matches. Of several versions of a file (Creo) the newest is taken.
     :param dialect: format in which all programs are read; None: by the extension.
     :param forces: CSV file (for one program), process.toml (for all), or a folder with NAME.csv or NAME.forces.csv for
         each program; None: programs have no file of forces.
@@ -168,7 +169,9 @@ def find_jobs(
         folder = path.parent / "corrected" if output is None else output
         read_dialect = registry.dialect_of_file(path, dialect).name
         written_dialect, writer = registry.written_in(read_dialect, to)
-        output_name = writer.valid_name(path.stem) if name is None and written_dialect != read_dialect else name
+        output_name = name
+        if name is None and written_dialect != read_dialect:
+            output_name = writer.valid_name(registry.program_name(path))
         jobs.append(
             Job(
                 program=path,
@@ -203,16 +206,16 @@ def _expand(name: str, dialect: str | None) -> Iterator[Path]:
     path = Path(name)
     extensions = registry.extensions() if path.is_dir() or glob.has_magic(name) else {}
     if path.is_dir():
-        files = [file for file in path.iterdir() if file.is_file() and file.suffix.lower() in extensions]
+        files = [file for file in path.iterdir() if file.is_file() and registry.has_known_extension(file)]
         if not files:
             raise InputError("no program in this folder", file=name, advice=f"Looked for {' '.join(extensions)}.")
-        yield from sorted(files)
+        yield from registry.newest_versions(sorted(files))
     elif not path.exists() and glob.has_magic(name):
         matches = [Path(match) for match in glob.glob(name, recursive=True)]  # noqa: PTH207 - also absolute patterns
-        files = [file for file in matches if file.is_file() and (dialect or file.suffix.lower() in extensions)]
+        files = [file for file in matches if file.is_file() and (dialect or registry.has_known_extension(file))]
         if not files:
             raise InputError("the pattern matches no program", file=name, advice=f"Looked for {' '.join(extensions)}.")
-        yield from sorted(files)
+        yield from registry.newest_versions(sorted(files))
     else:
         yield path
 
@@ -278,10 +281,11 @@ def _force_files(programs: Sequence[Path], forces: Path | None) -> dict[Path, Pa
     files = force_files(forces)
     file_of_program = {program: force_file(program, files) for program in programs}
     if not any(file_of_program.values()):
+        name = registry.program_name(programs[0])
         raise ForceError(
             "no force file for any of the programs in this folder",
             file=str(forces),
-            advice=f"Looked for {programs[0].stem} and {programs[0].stem}.forces with {', '.join(extensions())} first.",
+            advice=f"Looked for {name} and {name}.forces with {', '.join(extensions())} first.",
         )
     return file_of_program
 
@@ -302,7 +306,8 @@ def force_file(program: Path, files: Mapping[str, Sequence[Path]]) -> Path | Non
     :param files: name of each program → its force files, see `force_files`.
     :raises ForceError: the program has several.
     """
-    candidates = [file for file in files.get(program.stem.lower(), ()) if resolve(file) != resolve(program)]
+    named_files = files.get(registry.program_name(program).lower(), ())
+    candidates = [file for file in named_files if resolve(file) != resolve(program)]
     if len(candidates) > 1:
         raise ForceError(
             f"{len(candidates)} force files for {program.name}: {' and '.join(file.name for file in candidates)}",
@@ -323,7 +328,8 @@ def process_of(program: Path, output: Path, common: Path | None = None) -> Path 
     :param output: folder of the results.
     :param common: process file that is stated for all programs; None: none is stated.
     """
-    process_file, shared_file = output / f"{program.stem}.process.toml", output / "process.toml"
+    process_file = output / f"{registry.program_name(program)}.process.toml"
+    shared_file = output / "process.toml"
     if process_file.is_file():
         return process_file
     if common is not None or not shared_file.is_file():

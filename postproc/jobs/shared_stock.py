@@ -17,6 +17,7 @@ import numpy as np
 
 from postproc import machining
 from postproc.cell import Cell
+from postproc.dialects import registry
 from postproc.errors import Issue, PostprocError
 from postproc.frames import M_PER_MM, Array
 from postproc.jobs.programs import Job
@@ -61,7 +62,7 @@ def shared_stock_issues(job: Job, robot: RobotModel, cell: Cell) -> list[Issue]:
     message = (
         f"cuts material that other programs of this run cut too: {names} of the smaller cut. Each program is computed "
         f"from the whole stock of {job.process.name}. For the one that runs later give the stock that the earlier one "
-        f'leaves, in a process of its own, such as [stock] file = "{Path(first).stem}.stock.glb"'
+        f'leaves, in a process of its own, such as [stock] file = "{registry.program_name(Path(first))}.stock.glb"'
     )
     return [Issue("warning", "shared-stock", message, count=len(shares), subject=first)]
 

@@ -35,7 +35,7 @@ def read_program(
     dialect = registry.dialect_of_file(path, dialect).name
     documents = read_documents(path, dialect)
     try:
-        return correction.read(documents, robot, cell, path.stem if name is None else name, dialect)
+        return correction.read(documents, robot, cell, registry.program_name(path) if name is None else name, dialect)
     except InputError as cause:
         raise cause.with_file(path.name, str(path)) from cause
 

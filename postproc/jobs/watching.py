@@ -458,36 +458,34 @@ class _Watcher:
         :raises ForceError: the program has several files of forces.
         """
         file = force_file(program, self.force_files)
-        return file if file is not None or states_forces(program) else folder / f"{program.stem}.csv"
+        return file if file is not None or states_forces(program) else folder / f"{registry.program_name(program)}.csv"
 
     def _waits_for_forces(self, path: Path) -> bool:
         """Return whether a program waits for its forces: they are missing, and nothing has been written for it yet.
 
         A program that was written loses its result if its forces are removed: it is tried again, and fails.
         """
-        if not self.force_files or path.stem.lower() in self.force_files or states_forces(path):
+        name = registry.program_name(path)
+        if not self.force_files or name.lower() in self.force_files or states_forces(path):
             return False
-        if (self.output / f"{path.stem}.report.json").is_file():
+        if (self.output / f"{name}.report.json").is_file():
             return False
-        self._report_new(
-            f"{path} waits for its forces: {path.stem}.csv or {path.stem}.forces.csv in {self.force_folder}."
-        )
+        self._report_new(f"{path} waits for its forces: {name}.csv or {name}.forces.csv in {self.force_folder}.")
         return True
 
     def _programs(self) -> list[Path]:
         """Return the programs of the folder; report names that are not UTF-8 once."""
-        extensions = registry.extensions()
         takes_any_extension = self.pattern is not None and self.options.get("dialect") is not None
         programs = []
         for path in self.folder.iterdir():
-            is_program = takes_any_extension or path.suffix.lower() in extensions
+            is_program = takes_any_extension or registry.has_known_extension(path)
             is_program = is_program and fnmatch(path.name, self.pattern or "*")
             if is_program and not path.name.startswith((".", "~")) and path.is_file():
                 if is_utf8(path.name):
                     programs.append(path)
                 else:
                     self._report_new(f"{path}: its name is not UTF-8. Rename the file.")
-        return programs
+        return registry.newest_versions(programs)
 
     def _input_files(self, path: Path) -> list[Path]:
         """Return the files that a program is read from: its own, its companions, and its files of forces.
@@ -498,7 +496,7 @@ class _Watcher:
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
         process_files = [] if process is None or is_common else _files_of_process(process, process.stat())
-        return [path, *companions, *self.force_files.get(path.stem.lower(), ()), *process_files]
+        return [path, *companions, *self.force_files.get(registry.program_name(path).lower(), ()), *process_files]
 
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one of them does not exist any more."""

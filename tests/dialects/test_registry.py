@@ -13,6 +13,7 @@ from postproc import jobs
 from postproc.dialects import registry
 from postproc.errors import InputError, ProgramError
 from tests.commands import invoke
+from tests.places import CELL_FILE
 
 
 @pytest.fixture
@@ -147,3 +148,33 @@ def test_what_is_written_in_which_dialect():
         registry.written_in("gcode", "gcode")
     with pytest.raises(InputError, match="written in krl again, not in gcode"):
         registry.written_in("krl", "gcode")
+
+
+APT = (
+    "UNITS/MM\nLOADTL/1\nFEDRAT/300,MMPM\nRAPID\nGOTO/0,0,20\nGOTO/0,0,-1\nGOTO/{x},0,-1\nRAPID\nGOTO/{x},0,20\nFINI\n"
+)
+
+
+def test_versions_of_creo_are_cutter_location_files_named_without_their_number(tmp_path):
+    for version in (1, 2, 10):
+        (tmp_path / f"part.ncl.{version}").write_text(APT.format(x=version))
+    (tmp_path / "part.csv.1").write_text("")
+    done = invoke("convert", tmp_path, cell=CELL_FILE)
+    assert done.exit_code == 0, done.output
+    assert sorted(path.name for path in (tmp_path / "corrected").iterdir()) == [
+        "part.report.html", "part.report.json", "part.src", "part.targets.csv",
+    ]  # fmt: skip
+    text = (tmp_path / "corrected" / "part.src").read_text()
+    assert "X 10," in text, "the newest version of the folder"
+    (tmp_path / "part.ncl.11").write_text(APT.format(x=11))
+    assert invoke("convert", tmp_path, cell=CELL_FILE).exit_code == 0
+    assert "X 11," in (tmp_path / "corrected" / "part.src").read_text(), "replaces the earlier version"
+    done = invoke("predict", tmp_path / "part.ncl.2", cell=CELL_FILE)
+    assert "part.predict.report.json" in done.output
+
+
+@pytest.mark.parametrize("name", ["part.ncl.", "part.ncl.1a", ".ncl.1", "part.nc.1"])
+def test_other_numbers_behind_an_extension_are_no_versions(name):
+    assert registry.without_version(Path(name)) == Path(name)
+    with pytest.raises(ProgramError, match="unknown kind of program"):
+        registry.dialect_of_file(Path(name))
