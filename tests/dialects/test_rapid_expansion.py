@@ -190,8 +190,18 @@ def test_loops_and_copies_are_named_apart():
 @pytest.mark.parametrize(
     ("code", "routines", "problem", "line"),
     [
-        (['%"cut"%;', '%"cut"%;'], CUT.format(move(1)), "CUT is called more than once, by its name as text", 12),
-        (["cut;", '%"cut"%;'], CUT.format(move(1)), "CUT is called more than once, by its name as text", 12),
+        (
+            ['%"cut"%;', '%"cut"%;'],
+            CUT.format(move(1)),
+            "CUT needs a copy for this call, and is called by its name as text",
+            12,
+        ),
+        (
+            ["cut;", '%"cut"%;'],
+            CUT.format(move(1)),
+            "CUT needs a copy for this call, and is called by its name as text",
+            12,
+        ),
         (["FOR i FROM 1 TO 2 DO", "FOR i FROM 1 TO 2 DO", move("i"), "ENDFOR", "ENDFOR"], "", "I is the variable", 9),
         (
             ["cut 3;"],

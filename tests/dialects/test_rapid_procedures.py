@@ -63,6 +63,7 @@ def module(*routines, data=DATA):
     return "\n".join(["MODULE Menu", f"  {TOOLDATA}", f"  {WOBJ}", f"{data}{lines[0]}", *lines[1:], "ENDMODULE", ""])
 
 
+LINE = f"MoveL {at(0, 0, 20)}{tail()}"
 MENU = module(MAIN, TOP, SIDE, ROWS)
 
 
@@ -189,6 +190,47 @@ def test_main_and_what_it_calls_besides_stay_as_they_are():
     assert lines_of(written, "main") == lines_of(MENU, "main")
 
 
+OUTSIDE = {
+    "a procedure": ["PROC side()", "rows 30;", "ENDPROC"],
+    "main": ["PROC main()", "IF DInput(diTop)=1 THEN", "top;", "ENDIF", "rows 30;", "ENDPROC"],
+    "a handler": ["PROC side()", LINE, "ERROR", "rows 30;", "ENDPROC"],
+    "a routine between": ["PROC side()", "between;", "ENDPROC", "PROC between()", "rows 30;", "ENDPROC"],
+}
+
+
+@pytest.mark.parametrize("kind", OUTSIDE)
+def test_a_routine_that_is_called_where_it_is_not_corrected_stays_as_it_is_there(kind):
+    """The corrected procedure calls a copy: the others would move along its corrected targets."""
+    text = module(TOP, OUTSIDE[kind], ROWS)
+    written = corrected(text, "top", *(["side"] if kind == "a handler" else []))
+    assert lines_of(written, "rows") == lines_of(text, "rows")
+    assert "rows_2 10;" in [line.strip() for line in lines_of(written, "top")]
+    attack.compare(Controller(text).run("top"), Controller(written).run("top"))
+
+
+def test_a_routine_whose_callers_are_not_followed_keeps_what_it_calls():
+    """Both routines of `between` are copied."""
+    between = ["PROC between()", "rows 30;", "ENDPROC"]
+    text = module([*TOP[:-1], "between;", TOP[-1]], ["PROC side()", "between;", "ENDPROC"], between, ROWS)
+    written = corrected(text, "top")
+    for name in ("side", "between", "rows"):
+        assert lines_of(written, name) == lines_of(text, name)
+    attack.compare(Controller(text).run("top"), Controller(written).run("top"))
+
+
+def test_a_routine_to_joint_angles_alone_needs_no_copy():
+    home = ["PROC home()", MOVE_HOME, "ENDPROC"]
+    text = module(
+        ["PROC main()", "home;", "IF DInput(diTop)=1 THEN", "top;", "ENDIF", "ENDPROC"],
+        home,
+        ["PROC top()", "home;", *TOP[1:]],
+        ROWS,
+    )
+    written = corrected(text, "top")
+    assert "home_2" not in written
+    assert "rows 10;" in [line.strip() for line in lines_of(written, "top")]
+
+
 def test_names_that_the_module_does_not_have_are_those_of_others():
     text = module(["PROC main()", MOVE_HOME, f"MoveL {at(0, 0, 20)}{tail()}", "ENDPROC"])
     assert len(read(text, "top", "side").motions) == 2
@@ -199,7 +241,6 @@ def proc(name, *lines):
     return [f"PROC {name}()", *lines, "ENDPROC"]
 
 
-LINE = f"MoveL {at(0, 0, 20)}{tail()}"
 REFUSALS = {
     "parameters": ([["PROC top(num n)", LINE, "ENDPROC"], proc("side", LINE)], "has parameters", None),
     "no motions": ([proc("top", "SetDO do1,1;"), proc("side", LINE)], "PROC TOP has no motions", "PROC top()"),

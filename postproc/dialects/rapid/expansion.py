@@ -13,11 +13,22 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from msgspec import Struct
 
+from postproc.dialects.rapid.effects import called_names
 from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError
+from postproc.dialects.rapid.instructions import MOVES
 from postproc.dialects.rapid.loaded import LoadedModules
 from postproc.dialects.rapid.next_run import ChangedData, changed_data
 from postproc.dialects.rapid.procedures import follow
-from postproc.dialects.rapid.syntax import Instruction, Loop, Module, Parser, Routine, modules
+from postproc.dialects.rapid.syntax import (
+    Instruction,
+    Loop,
+    Module,
+    Parser,
+    Routine,
+    Statement,
+    all_statements,
+    modules,
+)
 from postproc.dialects.rapid.values import Value
 from postproc.dialects.text import line_spans
 from postproc.program import Ints
@@ -131,16 +142,22 @@ class _Change(Struct, frozen=True):
 
 
 def _first_changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
-    """Return the changes of the next pass; empty if each statement that moves runs once.
+    """Return the changes of the next pass; empty if each statement that moves runs once, and is corrected for all runs.
 
-    Loops whose statement runs once and that have several rounds are written out first; of nested loops, the outermost.
-    Without such loops, one routine that several statements call, each once, gets a copy for each further call.
+    A routine that routines call which are not followed stays as it is for them, and gets a copy for each call that is
+    followed. Loops whose statement runs once and that have several rounds are written out next; of nested loops, the
+    outermost. Without such loops, one routine that several statements call, each once, gets a copy for each further
+    call.
 
     :param text: the present text.
     :param execution: result of its execution.
     :raises RapidError: a routine to be copied is called by its name as text, or a statement runs more than once for
         another reason.
     """
+    shared_names = _shared_routines(program_modules, execution)
+    for name, calls in execution.calls.items():
+        if name in shared_names and len({call.start for call in calls}) == len(calls):
+            return _copies(text, program_modules, name, calls, kept_count=0)
     move_counts: dict[int, int] = {}
     for move in execution.moves:
         move_counts[move.statement.start] = move_counts.get(move.statement.start, 0) + 1
@@ -158,16 +175,50 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
     for name, calls in execution.calls.items():
         call_starts = {call.start for call in calls}
         if len(calls) > 1 and len(call_starts) == len(calls):
-            return _copies(text, program_modules, name, calls)
+            return _copies(text, program_modules, name, calls, kept_count=1)
     start = next(start for start, count in move_counts.items() if count > 1)
     raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
 
 
-def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequence[Instruction]) -> list[_Change]:
-    """Return the changes that insert a copy of a routine below it for each call except the first, and rename the calls.
+def _shared_routines(program_modules: Sequence[Module], execution: ExecutedProgram) -> set[str]:
+    """Return the names of followed routines with motions that routines call which are not followed.
+
+    Handlers are not followed either. Routines whose only motions are to joint angles stay as they are in any case, and
+    are left out.
+    """
+    routines = [routine for module in program_modules for routine in module.routines]
+    called_elsewhere: set[str] = set()
+    for routine in routines:
+        called_elsewhere |= called_names(routine.handler)
+        if routine.name not in execution.followed_names:
+            called_elsewhere |= called_names(routine.body)
+    return {
+        routine.name
+        for routine in routines
+        if routine.name in called_elsewhere and any(_may_be_changed(item, execution) for item in routine.body)
+    }
+
+
+def _may_be_changed(statement: Statement, execution: ExecutedProgram) -> bool:
+    """Return whether a statement, or one inside it, may be written anew: a move to a robtarget, a loop or a call."""
+    return any(
+        isinstance(item, Loop)
+        or (
+            isinstance(item, Instruction)
+            and (item.name in execution.calls or (item.name in MOVES and not MOVES[item.name].takes_joints))
+        )
+        for item in all_statements((statement,))
+    )
+
+
+def _copies(
+    text: str, program_modules: Sequence[Module], name: str, calls: Sequence[Instruction], *, kept_count: int
+) -> list[_Change]:
+    """Return the changes that insert a copy of a routine below it for each call but the first, and rename these calls.
 
     :param name: name of the routine, upper case.
     :param calls: its calls; each is another statement.
+    :param kept_count: number of first calls that stay, 0 or 1.
     :raises RapidError: a call has the name of the routine as text.
     """
     routines = {routine.name: routine for module in program_modules for routine in module.routines}
@@ -175,11 +226,11 @@ def _copies(text: str, program_modules: Sequence[Module], name: str, calls: Sequ
     name_start, name_stop = routine.name_span
     changes: list[_Change] = []
     pieces: list[tuple[int, str]] = []
-    for number, call in enumerate(sorted(calls, key=lambda call: call.start)[1:], 2):
+    for number, call in enumerate(sorted(calls, key=lambda call: call.start)[kept_count:], 2):
         copy_name = _free_name(text[name_start:name_stop], number, routines)
         word = re.compile(r'%[ \t]*"[^"]*"[ \t]*%|\w+').match(text, call.start)
         if word is None or word[0].startswith("%"):
-            problem = f"{name} is called more than once, by its name as text"
+            problem = f"{name} needs a copy for this call, and is called by its name as text"
             raise RapidError(problem, call.start, f"Call it as {name};")
         changes.append(_Change(word.start(), word.end(), ((-1, copy_name),)))
         pieces += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy_name)]
