@@ -278,6 +278,30 @@ def test_a_setting_that_is_set_back_is_no_fault():
     assert len(read(text, "top", "side").motions) == 5
 
 
+@pytest.mark.parametrize(
+    ("setting", "is_warned"),
+    [
+        ("ConfJ\\Off;", True), ("SingArea\\Wrist;", True), ("CirPathMode\\ObjectFrame;", True),
+        ("VelSet 50,800;", True), ("VelSet nSpeed,5000;", True), ("ConfJ\\On;", False), ("SingArea\\Off;", False),
+        ("ConfL\\Off;", False), ("VelSet 100,5000;", False), ("", False),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("caller", ["main", "between"])
+def test_settings_of_a_caller_that_is_not_followed_are_warned_of(setting, is_warned, caller):
+    text = module(proc(caller, setting, "IF DInput(di1)=1 THEN", "top;", "ENDIF"), TOP, ROWS)
+    issues = [issue for issue in read(text, "top").issues if issue.kind == "settings-elsewhere"]
+    assert len(issues) == is_warned
+    word = setting.partition(" ")[0].partition("\\")[0]
+    for issue in issues:
+        assert issue.source_line == text.splitlines().index(f"  {setting}") + 1
+        assert f"PROC {caller.upper()} is not followed, and changes {word} for" in issue.message
+
+
+def test_settings_of_a_procedure_that_calls_nothing_corrected_do_not_count():
+    text = module(proc("other", "ConfJ\\Off;", LINE), TOP, ROWS)
+    assert "settings-elsewhere" not in {issue.kind for issue in read(text, "top").issues}
+
+
 def test_the_written_module_is_predicted_and_compared_with_the_same_cell(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     cell = cell_file(tmp_path, "top", "side")

@@ -190,6 +190,33 @@ def first_difference(first: ExecutedProgram, later: ExecutedProgram) -> int | No
     return None
 
 
+def setting_after(statement: Instruction, setting: Setting, scope: Scope) -> Setting | None:
+    """Return the settings of moves after an instruction: ConfJ, SingArea, CirPathMode or VelSet; ConfL has no effect.
+
+    None if the speeds of VelSet are not known.
+
+    :param setting: settings before it.
+    :param scope: data at this time.
+    """
+    switches = {argument.name for argument in statement.arguments if argument.name}
+    match statement.name:
+        case "CONFJ":
+            return replace(setting, follows_configuration="ON" in switches)
+        case "SINGAREA":
+            return replace(setting, singularity_mode=next(iter(switches), "OFF"))
+        case "CIRPATHMODE":
+            return replace(setting, circle_mode=next(iter(switches), "PATHFRAME"))
+        case "VELSET":
+            try:
+                percent, limit = (
+                    number(argument.value, scope) for argument in statement.arguments if argument.value is not None
+                )
+            except (UnknownValueError, ValueError):  # ValueError: not two arguments
+                return None
+            return replace(setting, speed_share=percent / 100.0, speed_limit=limit)
+    return setting
+
+
 class _Return(Exception):  # noqa: N818 - no error: the end of a routine
     """The routine returns."""
 
@@ -912,25 +939,13 @@ class Execution:
     def _execute_setting(self, statement: Instruction, scope: Scope) -> None:
         """Execute an instruction that changes how moves are executed: ConfJ, SingArea, CirPathMode, VelSet.
 
-        ConfL has no effect here. Unknown speeds of VelSet are an error.
+        Unknown speeds of VelSet are an error.
         """
-        switches = {argument.name for argument in statement.arguments if argument.name}
-        name = statement.name
-        if name == "CONFJ":
-            self.setting = replace(self.setting, follows_configuration="ON" in switches)
-        elif name == "SINGAREA":
-            self.setting = replace(self.setting, singularity_mode=next(iter(switches), "OFF"))
-        elif name == "CIRPATHMODE":
-            self.setting = replace(self.setting, circle_mode=next(iter(switches), "PATHFRAME"))
-        elif name == "VELSET":
-            try:
-                percent, limit = (
-                    number(argument.value, scope) for argument in statement.arguments if argument.value is not None
-                )
-            except (UnknownValueError, ValueError):  # ValueError: not two arguments
-                self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
-                return
-            self.setting = replace(self.setting, speed_share=percent / 100.0, speed_limit=limit)
+        setting = setting_after(statement, self.setting, scope)
+        if setting is None:
+            self._refuse(statement, "the speeds of VelSet are not known", "Write them as numbers.")
+        else:
+            self.setting = setting
 
     def _execute_call(self, statement: Instruction, routine: Routine, scope: Scope, depth: int) -> None:
         """Call a routine: bind its parameters, execute it, and make data unknown that it may have changed otherwise.

@@ -7,14 +7,17 @@ that one of them changes are not known in the others.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from pathlib import PurePath
 
 from msgspec.structs import replace
 
-from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError, RunBegin
+from postproc.dialects.rapid.effects import called_names
+from postproc.dialects.rapid.execution import ExecutedProgram, Execution, RapidError, RunBegin, setting_after
+from postproc.dialects.rapid.instructions import SETTINGS
 from postproc.dialects.rapid.moves import Move, Setting, Target
 from postproc.dialects.rapid.syntax import Instruction, Module, Routine, all_statements
+from postproc.dialects.rapid.values import Scope
 from postproc.errors import ProgramError, first_of
 from postproc.program import PTP
 
@@ -106,6 +109,22 @@ def follow(executions: Sequence[Execution], start_numbers: Sequence[float]) -> E
         program.followed_names |= result.followed_names
         program.cell_data |= result.cell_data
     return program
+
+
+def setting_elsewhere(routine: Routine, followed_names: Set[str]) -> Instruction | None:
+    """Return the first instruction by which a caller of followed procedures changes settings of moves; None without it.
+
+    Settings of a new program count as no change.
+
+    :param routine: a routine that is not followed.
+    :param followed_names: names of the followed routines.
+    """
+    if not called_names(routine.body) & followed_names:
+        return None
+    settings = (
+        item for item in all_statements(routine.body) if isinstance(item, Instruction) and item.name in SETTINGS
+    )
+    return next((item for item in settings if setting_after(item, Setting(), Scope({})) != Setting()), None)
 
 
 def _move_to_start(entry: Routine, first_move: Move, start_numbers: Sequence[float]) -> Move:

@@ -29,7 +29,7 @@ from postproc.dialects.rapid.layout import Layout
 from postproc.dialects.rapid.loaded import load_modules
 from postproc.dialects.rapid.moves import Move
 from postproc.dialects.rapid.next_run import ChangedData
-from postproc.dialects.rapid.procedures import program_procedures
+from postproc.dialects.rapid.procedures import program_procedures, setting_elsewhere
 from postproc.dialects.rapid.syntax import Comment, RapidSyntaxError, Statement, all_statements
 from postproc.dialects.rapid.syntax import Instruction as RapidInstruction
 from postproc.dialects.rapid.values import NOT_CONNECTED, UnknownValueError, Value, record_numbers
@@ -573,6 +573,7 @@ class _Reader:
         for changed_data in expanded_program.changed_data:
             yield self._changed_data_issue(changed_data)
         yield from self._uncalled_issues(expanded_program)
+        yield from self._setting_issues(expanded_program)
         if execution.endless_loop is not None:
             message = (
                 "WHILE TRUE never ends: one round is corrected, and is what all rounds do. What follows it never runs."
@@ -615,6 +616,20 @@ class _Reader:
                 message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
                 line = int(self._file_lines(expanded_program, np.array([first_move.start]))[0])
                 yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
+
+    def _setting_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
+        """Yield a warning for each routine that is not followed, and changes settings for procedures that it calls."""
+        followed_names = expanded_program.executed.followed_names
+        for routine in (routine for module in expanded_program.modules for routine in module.routines):
+            statement = None if routine.name in followed_names else setting_elsewhere(routine, followed_names)
+            if statement is not None:
+                word = expanded_program.text[statement.start : statement.start + len(statement.name)]
+                message = (
+                    f"{routine.kind} {routine.name} is not followed, and changes {word} for procedures that it calls: "
+                    "they are corrected with the settings of a new program. Make the settings in the procedures."
+                )
+                line = int(self._file_lines(expanded_program, np.array([statement.start]))[0])
+                yield Issue("warning", "settings-elsewhere", message, line, subject=routine.name)
 
     @staticmethod
     def _cell_frame_issues(execution: ExecutedProgram) -> Iterator[Issue]:
