@@ -442,8 +442,15 @@ def test_points_of_another_file_are_the_same_in_each_round_of_a_loop_without_exi
     lines = (FULL, "LOOP", "pick()", "ENDLOOP")
     found = in_folder(tmp_path, body(*lines), {"pick.src": PICK, "pick.dat": PICKED})
     assert numbers(found)[:, 0].tolist() == [100, 7, 100]
-    with pytest.raises(ProgramError, match=r"rounds differ: each one changes PICK/XP2 for the next"):
+    with pytest.raises(ProgramError, match=r"rounds differ: each one changes XP2 of PICK for the next"):
         in_folder(tmp_path, body(*lines), {"pick.src": CHANGES, "pick.dat": PICKED})
+
+
+def test_data_of_another_file_that_stay_changed_are_named_with_their_file(tmp_path):
+    found = in_folder(tmp_path, body(FULL, "pick()"), {"pick.src": CHANGES, "pick.dat": PICKED})
+    (issue,) = (issue for issue in found.issues if issue.kind == "changed-data")
+    assert issue.subject == "XP2 of PICK"
+    assert "XP2 of PICK (pick.src, line 4)" in issue.message
 
 
 def test_points_of_another_file_are_the_same_in_all_branches_and_behind_them(tmp_path):

@@ -23,7 +23,7 @@ from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_b
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump_message
-from postproc.dialects.krl.read.known import InexactError, VariableValue, inexact_error
+from postproc.dialects.krl.read.known import InexactError, VariableValue, inexact_error, shown_name
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import keeps_position
 from postproc.dialects.krl.read.plain_rounds import plain_body
@@ -981,7 +981,7 @@ class Flow:
         if names := carried_variables(run, source, block, snapshot):
             # variables of the program before those of the controller
             sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
-            changed_names = first_of(sorted_names, _MOST_NAMES)
+            changed_names = first_of([*map(shown_name, sorted_names)], _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
             raise inexact_error(place, problem, "Set it at the beginning of each round.")
         level.return_line = block.last

@@ -100,6 +100,12 @@ class Scope(Struct, frozen=True):
         return self.prefix + name if name in self.prefixed_names else name
 
 
+def shown_name(name: str) -> str:
+    """Return a stored name as messages show it: ``N of SUB`` for a variable of another file, see `Scope.prefix`."""
+    module, _, variable = name.rpartition("/")
+    return f"{variable} of {module}" if module else name
+
+
 def stored_originals(imported: Import) -> tuple[str, str]:
     """Return the two names under which the variable of an IMPORT may be stored, see `Scope`.
 

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from postproc.dialects.changed_data import FollowedRun, changed_data_issue, later_difference
 from postproc.dialects.krl.course import Course, Lines, RoutineExit, Step, UnresolvedStructure
 from postproc.dialects.krl.language.positions import Position
-from postproc.dialects.krl.read.known import UnknownValue
+from postproc.dialects.krl.read.known import UnknownValue, shown_name
 from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import PlainLines
@@ -47,7 +47,7 @@ def changed_data_issues(
     difference = later_difference(change_places.keys(), later_runs.follow_next)
     if difference is not None:
         names = sorted(set(map(variable_of, difference.names)))
-        places = {name: later_runs.change_places[name] for name in names}
+        places = {shown_name(name): later_runs.change_places[name] for name in names}
         yield changed_data_issue(places, difference.place, is_certain=difference.is_certain)
 
 
