@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -14,6 +16,8 @@ from postproc import cell
 from postproc.dialects.krl.dialect import callers
 from postproc.jobs import Job, conversion, find_jobs, output_plan
 from tests import commands
+from tests.attack.krl_interpreter import Controller
+from tests.oracle.arm import abc
 from tests.places import CELL_FILE
 
 START = "BAS(#INITMOV,0)\n$VEL.CP=0.05\nPTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 20}\n"
@@ -71,20 +75,20 @@ def test_a_program_of_the_same_run_is_not_said_to_move_by_the_correction_of_anot
     assert "two.src of its folders calls it too" in " ".join(run("convert", "one.src", "-o", "alone").stdout.split())
 
 
-GLOBAL = "DEF sub()\nLIN {X 20,Y 20,Z 0,A 0,B 0,C 180}\nEND\nGLOBAL DEF other()\nEND\n"
+GLOBAL = "DEFDAT sub PUBLIC\nDECL GLOBAL INT NS=1\nENDDAT\n"
 
 
 @pytest.mark.parametrize(
-    ("sub", "two", "reason"),
+    ("data", "two", "reason"),
     [
-        (GLOBAL, "", "GLOBAL DEF other() in sub.src would exist twice"),
+        (GLOBAL, "", "DECL GLOBAL INT NS=1 in sub.dat would exist twice"),
         ("", 'CWRITE($CMD,STAT,MODE,"RUN sub")\n', "two.src uses its name in another way than to call it"),
     ],
 )
 @pytest.mark.parametrize("more", [[], ["--overwrite"]])
-def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, two, reason):
-    if sub:
-        Path("sub.src").write_text(sub)
+def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, data, two, reason):
+    if data:
+        Path("sub.dat").write_text(data)
     Path("two.src").write_text(Path("two.src").read_text().replace("sub()\n", f"sub()\n{two}"))
     run("convert", "one.src", "-o", "out")
     before = {path.name: path.read_bytes() for path in Path("out").iterdir()}
@@ -93,6 +97,80 @@ def test_a_subprogram_that_cannot_have_another_name_is_not_replaced(more, sub, t
     assert f"{problem}. A copy of it for two is not possible: {reason}" in " ".join(told.split())
     assert "another folder with -o" in told
     assert {path.name: path.read_bytes() for path in Path("out").iterdir()} == before
+
+
+DRILL = """DEF drill(PX:IN,PY:IN)
+REAL PX,PY
+DECL FRAME P
+P={{X 0,Y 0,Z 20,A 0,B 0,C 180}}
+P.X=PX
+P.Y=PY
+LIN P
+P.Z=-8
+;FORCE FX=0 FY=0 FZ=300
+LIN P
+{calls};FORCE OFF
+P.Z=20
+LIN P
+END
+"""
+BORE = """DEF bore(PZ:IN)
+REAL PZ
+LIN {X 10,Y 10,Z 0,A 0,B 0,C 180}
+END
+"""
+
+
+def write_drilled(*, calls_others: bool) -> None:
+    """Write programs that call one drilling routine for two holes each; it may call a GLOBAL and a local routine."""
+    for number in (1, 2, 3):
+        calls = f"drill({10 * number},20)\ndrill({10 * number},90)\n"
+        Path(f"hole{number}.src").write_text(f"DEF hole{number}( )\n{START}{calls}END\n")
+    drill = DRILL.format(calls="deep(1)\nbore(1)\n" if calls_others else "")
+    Path("drill.src").write_text(drill + ("GLOBAL " + BORE.replace("bore", "deep") + BORE if calls_others else ""))
+
+
+def executed(folder: str, program: str) -> list:
+    """Run a written program on the controller of the tests with all files of its folder."""
+    unit = cell.load("cell.toml")
+    frames = abc(unit.base.X, unit.base.Y, unit.base.Z), abc(unit.tool.X, unit.tool.Y, unit.tool.Z)
+    files = {path.name.upper(): path.read_text() for path in Path(folder).glob("*.src")}
+    motions = Controller(files, np.random.default_rng(1), *frames, {}).run(program.upper())
+    return [(motion.kind, motion.numbers, motion.joints, motion.force) for motion in motions]
+
+
+@pytest.mark.parametrize("calls_others", [False, True])
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_programs_that_each_need_several_copies_of_one_subprogram_are_all_written(jobs, calls_others):
+    write_drilled(calls_others=calls_others)
+    programs = [f"hole{number}" for number in (1, 2, 3)]
+    sources = [f"{program}.src" for program in programs]
+    done = run("convert", *sources, "-o", "out", "--jobs", jobs)
+    texts = {path.name: path.read_text() for path in Path("out").glob("*.src")}
+    assert set(texts) == {*sources, "drill.src", "drill_hole2.src", "drill_hole3.src"}
+    visible = [name.upper() for text in texts.values() for name in re.findall(r"GLOBAL DEF (\w+)", text)]
+    visible += [Path(name).stem.upper() for name in texts]
+    assert len(visible) == len(set(visible))
+    assert {"DRILL_2", "DRILL_HOLE2_2", "DRILL_HOLE3_2"} <= set(visible)
+    assert not any("BORE" in name for name in visible)  # only its own file calls it
+    assert "this one calls its copy drill_hole2_2()." in Path("out/hole2.report.json").read_text()
+    for program in programs:
+        run("convert", f"{program}.src", "-o", f"alone_{program}")
+        assert executed("out", program) == executed(f"alone_{program}", program)
+    assert executed("out", "hole1") != executed("out", "hole2")
+    run("convert", *sources, "-o", "out", "--jobs", "1")
+    assert texts == {path.name: path.read_text() for path in Path("out").glob("*.src")}
+    assert done.exit_code == 0
+
+
+def test_a_copy_has_no_name_that_a_subprogram_of_another_program_defines():
+    write_drilled(calls_others=False)
+    run("convert", "hole1.src", "hole2.src", "-o", "out")
+    Path("sub.src").write_text(f"{Path('sub.src').read_text()}GLOBAL DEF drill_hole3_2()\nEND\n")
+    run("convert", "one.src", "-o", "out")
+    run("convert", "hole3.src", "-o", "out")
+    assert "GLOBAL DEF drill_hole3_2_2(" in Path("out/drill_hole3.src").read_text()
+    assert "\ndrill_hole3_2_2(30,90)\n" in Path("out/hole3.src").read_text()
 
 
 @pytest.mark.parametrize(("jobs", "before"), [("1", True), ("2", False)])
@@ -459,10 +537,10 @@ def test_a_copy_by_which_the_program_would_move_differently_is_refused(monkeypat
     rename = output_plan.copy_subprograms
 
     def wrong(*arguments):
-        documents, names = rename(*arguments)
-        main, *others = documents
+        renamed = rename(*arguments)
+        main, *others = renamed.documents
         assert old in main.text
-        return (replace(main, text=main.text.replace(old, new)), *others), names
+        return renamed._replace(documents=(replace(main, text=main.text.replace(old, new)), *others))
 
     monkeypatch.setattr(conversion, "copy_subprograms", wrong)
     done = run("convert", "two.src", "-o", "out", code=1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import NamedTuple, Protocol, runtime_checkable
 
 from msgspec import Struct
 
@@ -174,6 +174,30 @@ class CamFormat(Struct, frozen=True):
         return self.reader(documents[0], cell, forward_kinematics, name)
 
 
+class OtherFiles(NamedTuple):
+    """Files of other programs in an output folder, whose names a copy of a subprogram must not have.
+
+    :ivar names: names of the files, without extension, lower case.
+    :ivar contents: contents of their subprograms, which may define names that all files see.
+    """
+
+    names: Collection[str] = ()
+    contents: Sequence[bytes] = ()
+
+
+class SubprogramCopies(NamedTuple):
+    """A program whose subprograms have other names.
+
+    :ivar documents: its files, the main file first.
+    :ivar file_names: new file name → old file name.
+    :ivar routine_names: old name, upper case → new name, of further routines in the renamed files that all files see.
+    """
+
+    documents: tuple[Document, ...]
+    file_names: dict[str, str]
+    routine_names: dict[str, str]
+
+
 @runtime_checkable
 class Calling(Protocol):
     """Additional interface of a dialect whose programs call others by file name."""
@@ -192,15 +216,15 @@ class Calling(Protocol):
         unchanged: Sequence[bytes],
         stems: Sequence[str],
         program: str,
-        used_names: Collection[str],
-    ) -> tuple[tuple[Document, ...], dict[str, str]] | str:
+        other_files: OtherFiles,
+    ) -> SubprogramCopies | str:
         """Return the files of a program with other names for some of its subprograms.
 
         :param documents: files of the program and of its subprograms, the main file first.
         :param unchanged: contents of files that are written with them and must not change.
         :param stems: names of the files to be renamed, without extension.
         :param program: name of the program, which becomes a part of the new names.
-        :param used_names: names of other files, without extension, lower case.
-        :returns: the files, and new file name → old file name; the reason if that is not possible.
+        :param other_files: files of other programs.
+        :returns: the reason if that is not possible.
         """
         ...

@@ -15,6 +15,7 @@ from postproc import correction, files, forces, provenance, report
 from postproc.cell import Cell
 from postproc.correction import Result
 from postproc.dialects import registry
+from postproc.dialects.dialect import SubprogramCopies
 from postproc.errors import InputError, Issue, PostprocError, ProgramError, SubprogramError
 from postproc.forces import ForceSource
 from postproc.frames import M_PER_MM, Array
@@ -567,32 +568,44 @@ def _add_subprograms(task: Task, settings: Settings, cell: Cell, robot: RobotMod
             warnings = needed_warnings(task, result.program.needed, copies, texts | copies)
             issues = (*_without_callers_of_run(marked_result.issues, task), *warnings)
             return _MarkedResult(replace(marked_result, issues=issues), subprogram_files, copies)
-        documents, new_names = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
-        _check_same_motions(result, documents, robot, cell)
-        names_as_read |= {new: names_as_read.get(old, old) for new, old in new_names.items()}
-        result = replace(result, documents=documents, issues=_issues_of_copies(result.issues, new_names, conflicts))
+        renamed = copy_subprograms(task, result.documents, conflicts, subprogram_files, copies)
+        _check_same_motions(result, renamed.documents, robot, cell)
+        names_as_read |= {new: names_as_read.get(old, old) for new, old in renamed.file_names.items()}
+        issues = _issues_of_copies(result.issues, renamed, conflicts)
+        result = replace(result, documents=renamed.documents, issues=issues)
 
 
 def _issues_of_copies(
-    issues: Sequence[Issue], new_names: Mapping[str, str], conflicts: Mapping[str, str]
+    issues: Sequence[Issue], renamed: SubprogramCopies, conflicts: Mapping[str, str]
 ) -> tuple[Issue, ...]:
     """Return the issues of a program after subprograms were renamed, with a note for each renamed one.
 
-    Issues that a renamed file is shared with other programs are left out.
+    Issues that a renamed file is shared with other programs are left out. An issue that a routine was copied names the
+    copy as it is called now.
 
-    :param new_names: new file name → old file name.
     :param conflicts: file name → program for which it was written differently.
     """
     kept_issues = [
-        issue
+        _issue_of_renamed_routine(issue, renamed.routine_names)
         for issue in issues
-        if issue.kind != "shared-file" or issue.subject.partition(", ")[0] not in new_names.values()
+        if issue.kind != "shared-file" or issue.subject.partition(", ")[0] not in renamed.file_names.values()
     ]
-    for new, old in sorted(new_names.items()):
+    for new, old in sorted(renamed.file_names.items()):
         if old in conflicts:
             note = f"{old} is written as {new}: it differs from the one written for {conflicts[old]}."
             kept_issues.append(Issue("info", "own-copy", note))
     return tuple(kept_issues)
+
+
+def _issue_of_renamed_routine(issue: Issue, new_names: Mapping[str, str]) -> Issue:
+    """Return an issue that names a copied routine with the new name of the copy; unchanged if it has none.
+
+    :param new_names: old name of a routine, upper case → new name.
+    """
+    new_name = new_names.get(issue.subject.upper()) if issue.kind == "routine-copied" else None
+    if new_name is None:
+        return issue
+    return replace(issue, subject=new_name, message=issue.message.replace(f"{issue.subject}()", f"{new_name}()"))
 
 
 def _without_callers_of_run(issues: Sequence[Issue], task: Task) -> list[Issue]:

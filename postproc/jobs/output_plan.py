@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path, PurePath
 
@@ -25,7 +26,7 @@ from postproc import files
 from postproc.cell import Cell
 from postproc.correction import Mode
 from postproc.dialects import registry
-from postproc.dialects.dialect import Calling
+from postproc.dialects.dialect import Calling, OtherFiles, SubprogramCopies
 from postproc.dialects.text import decode
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
 from postproc.files import find_foreign_file, find_foreign_files, path_list, recorded_files, recorded_names, refuse
@@ -212,7 +213,7 @@ def copy_subprograms(
     program_of_file: Mapping[str, str],
     subprograms: Sequence[str],
     copies: Mapping[str, bytes],
-) -> tuple[tuple[Document, ...], dict[str, str]]:
+) -> SubprogramCopies:
     """Return the files of a program after subprograms that another program needs different were renamed.
 
     The calls of the renamed subprograms are changed, too.
@@ -220,14 +221,14 @@ def copy_subprograms(
     :param documents: files of the program and of its subprograms; `subprograms`: names of the files of subprograms.
     :param program_of_file: files to rename, see `differing_files`.
     :param copies: unchanged files: name → content.
-    :returns: the files, and new name of each renamed file → its name in `documents`.
     :raises InputError: a file that differs is not only a subprogram, or cannot have another name.
     """
     job, dialect = task.job, task.job.reader
     reason = ""
     if isinstance(dialect, Calling) and set(program_of_file) <= set(subprograms):
         stems = sorted({PurePath(name).stem for name in program_of_file})
-        renamed_files = dialect.copy_subprograms(documents, [*copies.values()], stems, job.stem, set(task.used_names))
+        other_files = OtherFiles(task.used_names, list(_subprograms_of_others(task)))
+        renamed_files = dialect.copy_subprograms(documents, [*copies.values()], stems, job.stem, other_files)
         if not isinstance(renamed_files, str):
             return renamed_files
         reason = f". A copy of it for {job.stem} is not possible: {renamed_files}"
@@ -239,6 +240,19 @@ def copy_subprograms(
         advice="Nothing was written. Write this program into another folder with -o, or give each of the programs "
         f"a {name} of its own.",
     )
+
+
+def _subprograms_of_others(task: Task) -> Iterator[bytes]:
+    """Yield the contents of the subprograms that were written for other programs; files that are gone are left out."""
+    paths = {
+        name: record.folder / name
+        for record in task.records
+        for name in record.files
+        if PurePath(name).suffix == task.job.writer.extension and PurePath(name).stem != record.program
+    }
+    for path in paths.values():
+        with suppress(OSError):
+            yield path.read_bytes()
 
 
 def groups_in_sequence(jobs: Sequence[Job], cell: Cell) -> list[list[Job]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path, PurePath
 
 from msgspec import Struct
@@ -12,6 +12,7 @@ from msgspec.structs import replace
 
 from postproc import provenance
 from postproc.cell import Cell
+from postproc.dialects.dialect import OtherFiles, SubprogramCopies
 from postproc.dialects.krl import write
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import fault_of, valid_name
@@ -224,13 +225,13 @@ class Krl:
         unchanged: Sequence[bytes],
         stems: Sequence[str],
         program: str,
-        used_names: Collection[str],
-    ) -> tuple[tuple[Document, ...], dict[str, str]] | str:
+        other_files: OtherFiles,
+    ) -> SubprogramCopies | str:
         """Return the files of a program with other names for some of its subprograms, see `write.subprogram_copies`.
 
-        :returns: the files, and new file name → old file name; the reason if the names cannot be changed.
+        :returns: the reason if the names cannot be changed.
         """
-        return write.subprogram_copies(documents, unchanged, stems, program, used_names)
+        return write.subprogram_copies(documents, unchanged, stems, program, other_files)
 
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str

@@ -88,6 +88,11 @@ def global_lines(text: str) -> list[str]:
     return _GLOBAL.findall(text)
 
 
+def global_declarations(text: str) -> list[str]:
+    """Return the lines that begin with GLOBAL or DECL GLOBAL and define no routine, without comments."""
+    return [line for line in global_lines(text) if _ROUTINE.match(line) is None]
+
+
 def code_without_comments(text: str) -> str:
     """Return code without comments and strings."""
     return _NO_CODE.sub(" ", text)

@@ -78,11 +78,13 @@ class _Version(Struct, eq=False):
 
     :ivar piece: its lines; None until they are made.
     :ivar places: places of the rows of all calls of this version, see `_Piece.places`.
+    :ivar is_called_outside: whether another file than that of the routine calls it.
     """
 
     name: str
     piece: _Piece | None = None
     places: list[tuple[int, int, int]] = []
+    is_called_outside: bool = False
 
 
 class _Folder(Struct, eq=False):
@@ -240,8 +242,9 @@ class _Folder(Struct, eq=False):
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
             versions[key] = _Version(self._name_of_copy(call) if versions else routine.name)
-        self._calls[call] = versions[key]
-        return versions[key]
+        version = self._calls[call] = versions[key]
+        version.is_called_outside |= self.course.trace.place(call.row)[0] is not routine.source
+        return version
 
     def _counter_values(self, loop: UnrolledLoop) -> list[int]:
         """Return the value of the counter of a FOR in each round; zeros for other loops."""
@@ -407,22 +410,21 @@ class _Folder(Struct, eq=False):
         )
         lacks_line_end = not _line_end(end_text)  # END is the last line of the file
         yield _text_piece(line_end + line_end if lacks_line_end else line_end)
-        yield _text_piece(self._definition_line(routine, version.name))
+        yield _text_piece(self._definition_line(routine, version))
         yield _version_piece(version)
         yield _text_piece(end_text + line_end if lacks_line_end else end_text)
 
-    def _definition_line(self, routine: Routine, name: str) -> str:
-        """Return the DEF line of a routine with another name.
-
-        In other files than the `.src` the copy becomes GLOBAL, so that the `.src` can call it.
-        """
+    def _definition_line(self, routine: Routine, version: _Version) -> str:
+        """Return the DEF line of a copy of a routine: GLOBAL if another file calls it."""
         source, text = routine.source, line_text(routine.source, routine.first)
         definition, begin = statement(source, routine.first), int(source.starts[routine.first - 1])
         if not isinstance(definition, Definition):
             return text
         start, name_start = definition.start - begin, definition.name_start - begin
-        prefix = "" if definition.is_global or source is self.main.source else "GLOBAL "
-        return f"{text[:start]}{prefix}{text[start:name_start]}{name}{text[name_start + len(definition.name) :]}"
+        prefix = "GLOBAL " if version.is_called_outside and not definition.is_global else ""
+        return (
+            f"{text[:start]}{prefix}{text[start:name_start]}{version.name}{text[name_start + len(definition.name) :]}"
+        )
 
     # --- text --------------------------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ from pathlib import PurePath
 
 from msgspec.structs import replace
 
+from postproc.dialects.dialect import OtherFiles, SubprogramCopies
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.names import MAX_LENGTH, fault_of, unused_name
 from postproc.dialects.krl.language.parts import MAIN, called_parts, files_of_routines
@@ -114,36 +115,66 @@ _FOLDER_PREFIX = "/R1/"
 """Folder of programs on the controller, in front of the name of a file in IMPORT."""
 
 
-def _stems_with_callers(documents: Sequence[Document], names: set[str]) -> set[str]:
-    """Return names of files, and the names of all files that use them directly or indirectly, except the main file.
+def _visible_routines(document: Document) -> set[str]:
+    """Return the routines of a file that other files call: that with the name of the file, and GLOBAL ones.
 
-    :param names: names of files, upper case, without extension; so is the result.
+    :returns: names, upper case.
     """
-    main, names = _stem(documents[0]), set(names)
-    other_files = [(_stem(document), scan.names(document.text)) for document in documents if _stem(document) != main]
-    while callers := {stem for stem, used_names in other_files if not names.isdisjoint(used_names)} - names:
-        names |= callers  # the callers have callers
-    return names
+    return {_stem(document), *scan.global_routines(document.text)}
 
 
-def _new_stems(stems: Collection[str], program: str, used_names: Collection[str]) -> dict[str, str]:
-    """Return a new name for each subprogram: old name, upper case → old name and program name, joined by ``_``.
+def _stems_with_callers(documents: Sequence[Document], stems: Collection[str]) -> set[str]:
+    """Return names of files, and the names of all files that call them directly or indirectly, except the main file.
 
-    If this name is in use or longer than `MAX_LENGTH`, it is shortened and ends in ``_2``, ``_3`` …
+    :param stems: names of files, upper case, without extension; so is the result.
+    """
+    stems = set(stems)
+    other_files = [(document, scan.names(document.text)) for document in documents[1:]]
+    other_files = [(document, names) for document, names in other_files if _stem(document) != _stem(documents[0])]
+    while True:
+        routines = stems.union(
+            *(_visible_routines(document) for document, _ in other_files if _stem(document) in stems)
+        )
+        callers = {_stem(document) for document, names in other_files if not routines.isdisjoint(names)} - stems
+        if not callers:
+            return stems
+        stems |= callers  # the callers have callers
 
-    :param stems: names of the subprograms, as spelled.
+
+def _new_routine_names(
+    documents: Sequence[Document], program: str, used_names: Collection[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return new names for files and for their GLOBAL routines, each as old name, upper case → new name.
+
+    A file gets its old name and the name of the program, joined by ``_``. A GLOBAL routine whose name begins with that
+    of its file begins with the new one: ``drill_2`` in ``drill_part.src`` is ``drill_part_2``. Other GLOBAL routines
+    get names as files do. If a name is in use or longer than `MAX_LENGTH`, it is shortened and ends in ``_2``, ``_3`` …
+
+    :param documents: the files.
     :param program: name of the program.
     :param used_names: names in use, upper case, from which the new names must differ.
     """
     used_names = set(used_names)
-    new_names: dict[str, str] = {}
-    for stem in sorted(stems):
-        if stem.upper() not in new_names:
-            new_name = f"{stem}_{program}"
-            fits = new_name.upper() not in used_names and len(new_name) <= MAX_LENGTH
-            new_names[stem.upper()] = new_name if fits else unused_name(new_name, used_names)
-            used_names.add(new_names[stem.upper()].upper())
-    return new_names
+
+    def unused(name: str) -> str:
+        """Return the name itself or, if it is in use or too long, another one; it is in use then."""
+        fits = name.upper() not in used_names and len(name) <= MAX_LENGTH
+        new_name = name if fits else unused_name(name, used_names)
+        used_names.add(new_name.upper())
+        return new_name
+
+    stem_of = {_stem(document): PurePath(document.name).stem for document in documents}
+    new_stems = {key: unused(f"{stem_of[key]}_{program}") for key in sorted(stem_of)}
+    new_routines: dict[str, str] = {}
+    for document in sorted(documents, key=_stem):
+        stem = _stem(document)
+        for name in sorted(scan.global_routines(document.text) - {stem} - new_routines.keys()):
+            spelling, _ = next(scan.name_places(document.text, {name}))
+            has_stem = name.startswith(f"{stem}_")
+            new_routines[name] = unused(
+                f"{new_stems[stem]}{name[len(stem) :]}" if has_stem else f"{spelling}_{program}"
+            )
+    return new_stems, new_routines
 
 
 def subprogram_copies(
@@ -151,47 +182,51 @@ def subprogram_copies(
     unchanged: Sequence[bytes],
     stems: Sequence[str],
     program: str,
-    other_names: Collection[str],
-) -> tuple[tuple[Document, ...], dict[str, str]] | str:
+    other_files: OtherFiles,
+) -> SubprogramCopies | str:
     """Return the files of a program with new names for some of its subprograms and for all files that use these.
 
-    Only names change: of files, behind DEF, DEFDAT and EXT, in front of the bracket of a call, and behind ``/R1/``.
+    Only names change: of files, behind DEF, DEFFCT, DEFDAT and EXT, in front of the bracket of a call, and behind
+    ``/R1/``. GLOBAL routines of the renamed files get new names too, because a controller must know each only once.
 
     :param documents: files of the program and of its subprograms, the main file first.
     :param unchanged: contents of files that are written with them and must not change.
     :param stems: names of the files to be renamed, without extension.
     :param program: name of the program, which becomes a part of the new names.
-    :param other_names: names of other files, without extension, lower case.
-    :returns: the files, and new file name → old file name. If the names cannot change, the reason: a name is used in
-        another way (in a string, as a variable), an unchanged file uses it, a file is missing or would be the main
-        file, or a renamed file has GLOBAL declarations, which would then exist twice.
+    :param other_files: files of other programs.
+    :returns: the reason if the names cannot change: a name is used in another way (in a string, as a variable), an
+        unchanged file uses it, a file is missing or would be the main file, or a renamed file has GLOBAL variables,
+        which would then exist twice.
     """
     renamed_stems = _stems_with_callers(documents, {stem.upper() for stem in stems})
-    present_stems = {_stem(document) for document in documents}
-    is_used_unchanged = any(not renamed_stems.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
-    if is_used_unchanged or _stem(documents[0]) in renamed_stems or not renamed_stems <= present_stems:
-        return "the main program, or a file that must not change, is called in it or calls it"
-    used_names = {name.upper() for name in other_names} | present_stems
-    used_names |= {name for document in documents for name in scan.names(document.text)}
     renamed_documents = [document for document in documents if _stem(document) in renamed_stems]
-    new_stem_of = _new_stems({PurePath(document.name).stem for document in renamed_documents}, program, used_names)
-    faulty_names = [name for name in new_stem_of.values() if fault_of(name)]
+    old_routines = renamed_stems.union(*map(_visible_routines, renamed_documents))
+    is_used_unchanged = any(not old_routines.isdisjoint(scan.names(text.decode("latin-1"))) for text in unchanged)
+    is_complete = renamed_stems <= {_stem(document) for document in renamed_documents}
+    if is_used_unchanged or _stem(documents[0]) in renamed_stems or not is_complete:
+        return "the main program, or a file that must not change, is called in it or calls it"
+    used_names = {name.upper() for name in other_files.names} | {_stem(document) for document in documents}
+    used_names.update(*(scan.names(document.text) for document in documents))
+    used_names.update(*(scan.global_routines(text.decode("latin-1")) for text in other_files.contents))
+    new_stems, new_routines = _new_routine_names(renamed_documents, program, used_names)
+    new_names = new_routines | new_stems
+    faulty_names = [name for name in new_names.values() if fault_of(name)]
     if faulty_names:
         return f"{faulty_names[0]} is no valid name"
     for document in renamed_documents:
-        if global_lines := scan.global_lines(document.text):
-            return f"{global_lines[0].strip()} in {document.name} would exist twice"
+        if declarations := scan.global_declarations(document.text):
+            return f"{declarations[0].strip()} in {document.name} would exist twice"
     new_documents: list[Document] = []
     old_names: dict[str, str] = {}
     for document in documents:
-        text, new_stem = _replace_routines(document.text, new_stem_of), new_stem_of.get(_stem(document))
+        text, new_stem = _replace_routines(document.text, new_names), new_stems.get(_stem(document))
         if text is None:
             return f"{document.name} uses its name in another way than to call it, as in a string"
         name = document.name if new_stem is None else f"{new_stem}{PurePath(document.name).suffix}"
         if name != document.name:
             old_names[name] = document.name
         new_documents.append(replace(document, name=name, text=text))
-    return tuple(new_documents), old_names
+    return SubprogramCopies(tuple(new_documents), old_names, new_routines)
 
 
 def _replace_routines(text: str, new_names: Mapping[str, str]) -> str | None:
