@@ -235,13 +235,13 @@ class Krl(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
         (``"bas"``): BASE(0) and TOOL_DATA[1]. None: the cell's, with a warning.
     :param keep_unresolved: leave motions as they are whose targets, or whether they run, only the running robot knows.
     :param values: values that are not known before the program runs, by name: inputs, parameters of the main program,
-        variables. A text is an enumeration value, such as ``"#T1"``.
+        variables.
     """
 
     search: list[str] = []
     initmov: Literal["cell", "bas"] | None = None
     keep_unresolved: bool = False
-    values: dict[str, bool | int | float | str] = {}
+    values: dict[str, bool | int | float] = {}
 
 
 class Rapid(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
@@ -493,7 +493,6 @@ def motion_fault(lines: Sequence[str]) -> str | None:
 
 
 _VARIABLE = re.compile(r"[A-Za-z_$][\w$]*(\[[0-9]{1,6}(,[0-9]{1,6}){0,2}\])?", re.ASCII)
-_ENUMERATION_VALUE = re.compile(r"#[A-Za-z_$][\w$]*", re.ASCII)
 _LARGEST_VALUE = 2**31 - 1
 """Largest value of an INT of KRL, which has 32 bits."""
 _EXAMPLE = """The least that a cell needs, for example:
@@ -576,18 +575,14 @@ def _check_lines(cell: CellFile, file: str) -> None:
                 raise CellError(f"[{section}] {key}, {motion}", file=file, advice=advice)
 
 
-def _check_krl_values(values: Mapping[str, float | str], file: str) -> None:
+def _check_krl_values(values: Mapping[str, float], file: str) -> None:
     """Check the values of variables that [krl.values] states.
 
-    :raises CellError: a name is no variable or element of KRL, a value is too large, or a text no enumeration value.
+    :raises CellError: a name is no variable or element of KRL, or a value is too large.
     """
     for key, value in values.items():
-        is_valid = _ENUMERATION_VALUE.fullmatch(value) if isinstance(value, str) else abs(value) <= _LARGEST_VALUE
-        if not _VARIABLE.fullmatch(key) or not is_valid:
-            advice = (
-                "Give numbers, true and false or enumeration values for names and elements: lnActSt = 1, "
-                '"$IN[5]" = false, "$MODE_OP" = "#T1".'
-            )
+        if not _VARIABLE.fullmatch(key) or abs(value) > _LARGEST_VALUE:
+            advice = 'Give numbers or true and false for names and elements: lnActSt = 1, "$IN[5]" = false.'
             raise CellError(f"[krl.values] {key} = {value}", file=file, advice=advice)
 
 

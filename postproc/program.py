@@ -362,12 +362,15 @@ class ForceNote(Struct, frozen=True):
     :param frame: axes of the wrench: BASE, TOOL or FEED.
     :param before: row of the first motion that gets the force: on the line of the comment, or executed after it; −1
         until the reader of a dialect has said it.
+    :param is_restated: True if the text has no comment here: where branches begin or meet, the reader states the force
+        that acts again.
     """
 
     line: int
     wrench: tuple[float, float, float, float, float, float]
     frame: ForceFrame = "BASE"
     before: int = -1
+    is_restated: bool = False
 
 
 _PROSE = (
@@ -631,6 +634,22 @@ class Program(Struct, frozen=True, eq=False):
     def turning(self) -> Turning | None:
         """How motions turn the tool that do not turn it by one rotation; None: all do."""
         return self.wrist if self.swivel is None else self.swivel
+
+    @property
+    def waiting_motions(self) -> Ints:
+        """Motions (n,) at whose end it waits, −1 for the start of the program.
+
+        Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
+        Busy waiting, as by ``WHILE NOT $IN[3]``, is not found; a wait that is never reached may be among them.
+        """
+        return np.array(
+            [
+                event.before - 1
+                for event in self.events
+                if event.kind == "stop" or (event.kind == "dwell" and event.value != 0.0)
+            ],
+            dtype=np.int64,
+        )
 
     @property
     def keeps_text(self) -> bool:

@@ -4,15 +4,9 @@ Every source gives wrenches at places along motions, linear between them (`Knots
 of a program and returns `PathForces`, which gives the wrench at each sample.
 """
 
+from postproc.forces.assignment import assign
 from postproc.forces.axes import Axes, last_travel
-from postproc.forces.path_forces import (
-    BEHIND_STEP,
-    PathForces,
-    assign,
-    displacement_estimate,
-    refined_arcs,
-    swing_places,
-)
+from postproc.forces.path_forces import BEHIND_STEP, PathForces, displacement_estimate, refined_arcs, swing_places
 from postproc.forces.sources import ForceSource, Knots, LawForces, StockInTime, read
 from postproc.forces.table import first_pass_knots, piece_knots, read_force_csv, target_forces
 

@@ -261,3 +261,11 @@ class Axes(Struct, frozen=True, eq=False):
         rotation = base_from_root @ root_from_previous
         at_starts[changed_rows] = np.einsum("nij,nhjm->nhim", rotation, at_starts[changed_rows])
         return at_starts
+
+    def wrench_at_start(self, wrench: Array, frame: Ints) -> Array:
+        """Return the wrench (M, 6) [N, N·m] at the start of motions, that at the end of the motion before.
+
+        :param wrench: (M, 6) wrench at the end of each motion [N, N·m], in the axes of `frame` (M,).
+        :returns: in `$BASE` axes of each motion; zero at the start of the program.
+        """
+        return self.columns_at_start(wrench.reshape(-1, 2, 3, 1), frame).reshape(-1, 6)

@@ -290,6 +290,7 @@ class Motion:
     mode: str
     synchronised: int = 0
     begins_uncorrected: bool = False
+    waits: bool = False
 
 
 @lru_cache(100_000)
@@ -711,7 +712,10 @@ class Controller:
             reader.take(word)
             if reader.take("ON", "OFF") == "ON":
                 self.cyclic.append((self.place(reader), -5.0, 5.0))
-        elif word in ("SIGNAL", "EXT", "WAIT", "HALT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP", "BRAKE"):
+        elif word in ("WAIT", "HALT"):
+            if self.motions:
+                self.motions[-1] = replace(self.motions[-1], waits=True)
+        elif word in ("SIGNAL", "EXT", "CONTINUE", "PULSE", "LABEL", "CONST_VEL", "STOP", "BRAKE"):
             return
         elif word in ("SPLINE", "PTP_SPLINE"):
             self.outside = self.base, self.tool, self.speed, self.cdis

@@ -133,9 +133,13 @@ class Path_:
         return np.hypot(np.linalg.norm(off - high * normal) - np.linalg.norm(here - centre), high)
 
 
-def compare(nominal, corrected, kept, text):
+def compare(nominal, corrected, kept, text, waiting, warned):
     """Raise `Wrong` unless the corrected motions, loaded, lead along the nominal ones.
 
+    While the program waits, nothing is fed: lines and arcs before a wait end without force.
+
+    :param waiting: (file, line) of motions behind which some run waits.
+    :param warned: True if a warning says that the program waits under force somewhere.
     :param kept: (file, line) of motions and calls that stay as they are, in some round at least.
     :param text: (file, line) → statement, of the job and of the written program.
     """
@@ -171,10 +175,13 @@ def compare(nominal, corrected, kept, text):
             away = np.linalg.norm(place[:3, 3] - path.end[:3, 3])
             turn = np.abs(place[:3, :3] - path.end[:3, :3]).max()
             if away < DIGITS and turn < TURN:
-                if np.abs(wrench_of(made) - wrench_of(motion)).max() > 0.02:
+                ended = (motion.file, motion.line) in waiting and not np.abs(wrench_of(made)).any()
+                must_end = motion.waits and motion.kind in ("LIN", "CIRC") and not warned
+                if not ended and (must_end or np.abs(wrench_of(made) - wrench_of(motion)).max() > 0.02):
                     raise Wrong(f"{where}: loaded with {made.force}, not {motion.force}")
                 same = np.allclose(made.base, motion.base, atol=1e-9) and np.allclose(made.tool, motion.tool, atol=1e-9)
-                if not same or made.kind != motion.kind != "SPL" or not np.isclose(made.speed, motion.speed):
+                kinds = {motion.kind, "LIN"} if ended else {motion.kind, made.kind if motion.kind == "SPL" else ""}
+                if not same or made.kind not in kinds or not np.isclose(made.speed, motion.speed):
                     raise Wrong(f"{where}: other frames, speed or kind in line {made.line}")
                 break
             if motion.kind != made.kind or motion.kind == "PTP" or lost or path.beside(place[:3, 3]) > BESIDE:
@@ -264,6 +271,8 @@ def prove(seed, folder):
             kept.add(("part.src", issue.source_line))
     main = "PARTMAIN" if "partMain.src" in new else "PART"
     texts = statements(job.files), statements(new)
+    waiting = {(motion.file, motion.line) for nominal, _ in runs for motion in nominal if motion.waits}
+    warned = any(issue.kind == "dwell-in-material" for issue in result.issues)
     for nominal, decided in runs:
         inputs = Choices(decided, most=99)
         try:
@@ -272,7 +281,7 @@ def prove(seed, folder):
             raise Wrong(f"what is written stops: {cause}") from None
         if inputs.decided != decided:
             raise Wrong(f"inputs are asked otherwise: {decided}, {inputs.decided}")
-        compare(nominal, made, kept, texts)
+        compare(nominal, made, kept, texts, waiting, warned)
     outcome = "kept" if kept else "branches" if len(runs) > 1 else "straight"
     if len(runs) == 1 and not kept:
         flattened(runs[0][0], job, folder, made)
@@ -297,6 +306,8 @@ def flattened(nominal, job, folder, made):
         via = "" if motion.via is None else ",".join(f"{n} {v:.9f}" for n, v in zip("XYZ", motion.via, strict=True))
         end = ",".join(f"{n} {v:.9f}" for n, v in zip("XYZABC", motion.numbers, strict=True))
         lines.append(f"{motion.kind} {f'{{{via}}},' if via else ''}{{{end}}}{tail}")
+        if motion.waits:
+            lines.append("WAIT SEC 1")
     files = {"part.src": "\n".join([*lines, "END", ""]), "part.dat": "DEFDAT part\nENDDAT\n"}
     result = correct_job(files, folder)
     if result.failed:

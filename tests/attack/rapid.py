@@ -300,7 +300,8 @@ def compare(nominal, corrected) -> None:
                 raise Wrong(f"motion {k}: another move or speed: {here}")
             if not np.allclose(here.tool, motion.tool) or not np.allclose(here.base, motion.base):
                 raise Wrong(f"motion {k}: frames")
-            is_end = here.name == "movej" or np.abs(wrench(here) - wrench(motion)).max() <= 2e-3
+            ends_free = motion.waits and not wrench(here).any()  # nothing is fed while the program waits
+            is_end = here.name == "movej" or ends_free or np.abs(wrench(here) - wrench(motion)).max() <= 2e-3
             if not is_end and "TOOL" not in here.force and not _is_between(wrench(here), before, wrench(motion)):
                 raise Wrong(f"motion {k}: force {here.force!r} instead of {motion.force!r}")
             pose = here.pose.copy()
@@ -312,14 +313,16 @@ def compare(nominal, corrected) -> None:
             tip = loaded_tip(arm, q, tool, load) if load.any() else pose
             gap = np.linalg.norm(tip[:3, 3] - end[:3, 3] / 1e3)
             if gap < DIGITS:
-                if not is_end and "TOOL" not in here.force:
+                must_be_free = motion.waits and motion.name != "movej" and wrench(motion).any()
+                if (not is_end and "TOOL" not in here.force) or (must_be_free and not ends_free):
                     raise Wrong(f"motion {k}: force {here.force!r} at its end instead of {motion.force!r}")
                 break
             if here.name == "movej" or motion.name == "movej":
                 break  # led to where the next one begins
             if start is not None and _beside(motion, start, tip[:3, 3] * 1e3) * 1e-3 > BESIDE:
                 raise Wrong(f"motion {k} (line {motion.line}): an inserted target is beside the path")
-        flange, before = end @ np.linalg.inv(motion.tool), wrench(motion) if motion.name != "movej" else np.zeros(6)
+        flange = end @ np.linalg.inv(motion.tool)
+        before = np.zeros(6) if motion.name == "movej" or motion.waits else wrench(motion)
     if next(todo, None) is not None:
         raise Wrong("motions are left")
 

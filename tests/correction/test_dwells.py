@@ -1,39 +1,58 @@
 """Dwells with the tool in material: the force ends, and a corrected tool goes on to where it is commanded."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
-from tests.dialects import rapid_reading
+from postproc import correction, forces, toolpath
+from tests.dialects import krl_programs, rapid_reading
 from tests.dialects.krl_programs import body, read
 from tests.placement import setting
 
+CELL = setting.cell(base=(0.0, 0.0, 500.0))
 HEAD = "G21 G90\nS3000 M3\nG4 P1.0\n(FORCE FX=-110 FY=-190 FZ=330 FRAME=BASE)\nG0 X1300 Y-20 Z60\n"
+WAITS = [
+    ("G82 X1300 Y-20 Z0 R20 P1.0 F300\nX1320\nG80\nG0 Z60\n", (6, 7)),
+    ("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", (6,)),
+    ("G1 Z0 F300\nG1 Y20\nG4 P0.5\nG0 Z60\n", (7,)),
+    ("G1 Z0 F300\nM0\nG1 Y20\nG0 Z60\n", (6,)),
+    ("G1 Z0 F300\nG2 X1320 Y0 I20 J0\nM0\nG3 X1340 Y20 I0 J20\nG0 Z60\n", (7,)),
+]
 
 
-def dwells(text, mode="convert"):
-    result = setting.process_text(HEAD + text, setting.cell(base=(0.0, 0.0, 500.0)), mode=mode)
+def process(text, mode="convert"):
+    result = setting.process_text(HEAD + text, CELL, mode=mode)
     assert not result.failed, result.issues
-    return result, [issue for issue in result.issues if issue.kind == "dwell-in-material"]
+    return result
 
 
-@pytest.mark.parametrize(
-    ("text", "lines"),
-    [
-        ("G82 X1300 Y-20 Z0 R20 P1.0 F300\nX1320\nG80\nG0 Z60\n", (6, 7)),
-        ("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", (6,)),
-        ("G1 Z0 F300\nG1 Y20\nG4 P0.5\nG0 Z60\n", (7,)),
-        ("G1 Z0 F300\nM0\nG1 Y20\nG0 Z60\n", (6,)),
-    ],
-)
-def test_a_corrected_program_that_waits_in_material_is_warned_of(text, lines):
-    result, (issue,) = dwells(text)
-    assert (issue.level, issue.source_line, issue.lines) == ("warning", lines[0], lines)
-    ends = np.isin(result.source_line, lines) & (result.t == 1.0) & ~result.rapid
-    beyond = 1e3 * np.linalg.norm(result.deflection[ends], axis=1).max()
-    assert beyond > 0.1
-    commanded = np.linalg.norm(result.printed[ends, :3] - 1e3 * result.nominal.position[ends], axis=1).max()
-    assert beyond == pytest.approx(commanded, rel=0.02)  # from the nominal place to the commanded one
-    assert f"cuts up to {beyond:.2f} mm beyond the nominal one" in issue.message
+def issues_of(result, kind):
+    return [issue for issue in result.issues if issue.kind == kind]
+
+
+def distances(result):
+    """Return from where the tool is to be to where it is commanded, at each target [mm]."""
+    return np.linalg.norm(result.printed[:, :3] - 1e3 * result.nominal.position, axis=1)
+
+
+@pytest.mark.parametrize(("text", "lines"), WAITS)
+def test_a_corrected_tool_waits_at_the_nominal_place(text, lines):
+    result = process(text)
+    (issue,) = issues_of(result, "force-released")
+    assert (issue.level, issue.source_line, issue.lines) == ("info", lines[0], lines)
+    assert not issues_of(result, "dwell-in-material")
+    waits = np.flatnonzero(np.isin(result.source_line, lines) & (result.t == 1.0) & ~result.rapid)
+    offset = distances(result)
+    np.testing.assert_allclose(offset[waits], 0.0, atol=2e-4)
+    assert (offset[waits - 1] > 0.2).all()  # a millimetre before, the whole correction holds
+    before = np.linalg.norm(result.nominal.position[waits - 1] - result.nominal.position[waits], axis=1)
+    np.testing.assert_allclose(before, 1e-3, rtol=2e-3)
+    np.testing.assert_allclose(np.linalg.norm(result.deflection[waits], axis=1), 0.0, atol=1e-9)
+    text_lines = result.documents[0].text.splitlines()
+    for wait in waits.tolist():
+        following = text_lines[int(result.output_line[wait]) :][:1]
+        assert following in (["WAIT SEC 1"], ["WAIT SEC 0.5"], ["HALT"])
 
 
 @pytest.mark.parametrize(
@@ -44,12 +63,90 @@ def test_a_corrected_program_that_waits_in_material_is_warned_of(text, lines):
         "(FORCE OFF)\nG1 Z0 F300\nG4 P1.0\n",
     ],
 )
-def test_where_no_force_ends_in_a_dwell_nothing_is_told(text):
-    assert dwells(text)[1] == []
+def test_where_no_force_acts_before_a_wait_nothing_is_changed(text):
+    result = process(text)
+    assert not issues_of(result, "force-released")
+    assert not issues_of(result, "dwell-in-material")
 
 
-def test_an_uncorrected_program_comes_to_the_nominal_place_while_it_waits():
-    assert dwells("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", "predict")[1] == []
+def test_an_uncorrected_program_is_predicted_to_come_to_the_nominal_place_while_it_waits():
+    result = process("G1 Z0 F300\nG4 P0.5\nG1 Y20\nG0 Z60\n", "predict")
+    wait = np.flatnonzero((result.source_line == 6) & (result.t == 1.0))
+    deviation = 1e3 * np.linalg.norm(result.deviation_before, axis=1)
+    assert deviation[wait] == pytest.approx(0.0, abs=1e-6)
+    assert deviation.max() > 0.2
+
+
+@dataclass(frozen=True)
+class StatedKnots:
+    """A source of forces along motions, as a file gives them."""
+
+    places: tuple[tuple[int, float, float], ...]
+    name = "stated.csv"
+
+    def along(self, program, path):
+        motion, t, size = map(np.array, zip(*self.places, strict=True))
+        wrench = size[:, None] * [0.0, -190.0, 330.0, 0.0, 0.0, 0.0]
+        return forces.Knots.along(motion, t, wrench, np.full(len(t), 0), sigma=0.1 * np.abs(wrench))
+
+
+def test_forces_along_motions_fall_before_a_wait_and_rise_behind_it():
+    program, _ = setting.read_with_robot(
+        HEAD + "G1 Z0 F300\nG1 Y20\nG4 P0.5\nG1 Y30\nG1 Y30.5\nM0\nG1 Y70\nG0 Z60\n", CELL
+    )
+    cut, short, last = np.flatnonzero(~program.motions.rapid)[[1, 3, 4]].tolist()
+    stated = [(cut, 0.0, 1.0), (cut, 0.5, 2.0), (cut, 1.0, 3.0), (cut + 1, 0.0, 3.0), (cut + 1, 1.0, 1.0)]
+    stated += [(short, 0.5, 1.0), (last, 0.0, 1.0)]
+    path = toolpath.segments(program, np.eye(4))
+    load = forces.assign(program, path, StatedKnots(tuple(stated)), "+Z", ramp=2e-3)
+    # 40 mm: the fall begins 2 mm before the end, at the force stated there; 10 mm: the rise ends behind 2 mm
+    expected = {
+        (cut, 0.25): 1.5,
+        (cut, 0.95): 2.9,
+        (cut, 0.975): 1.45,
+        (cut, 1.0): 0.0,
+        (cut + 1, 1e-9): 0.0,
+        (cut + 1, 0.1): 1.3,
+        (cut + 1, 0.2): 2.6,
+        (cut + 1, 1.0): 1.0,
+        (short, 0.5): 1.0,  # 0.5 mm: the fall has two fifths of it
+        (short, 0.6): 1.0,
+        (short, 0.8): 0.5,
+        (last, 0.06): 1.0,
+    }
+    motion, t = map(np.array, zip(*expected, strict=True))
+    sample = toolpath.at(program, path, motion, t)
+    np.testing.assert_allclose(load.at(sample)[:, 2] / 330.0, list(expected.values()), atol=1e-6)
+    spread = load.spread_at(sample)
+    np.testing.assert_allclose(spread[[3, 4], 0, 2, 2], 0.0, atol=1e-4)
+    assert spread[1, 0, 2, 2] > 80.0
+
+
+def test_a_motion_too_short_to_cut_has_no_force_before_a_wait_and_the_one_before_ends_without():
+    corner = "{X 70,Y 40,Z 0,A 180,B 0,C 180}"
+    lines = ["LIN {X 50,Y 0,Z 0,A 180,B 0,C 180}", ";FORCE FX=-110 FY=-190 FZ=330", f"LIN {corner}"]
+    text = body(*lines, ";FORCE FX=110 FY=-190 FZ=330", f"LIN {corner}", "WAIT SEC 1", ";FORCE OFF", "LIN {Z 90}")
+    program, model = setting.read_with_robot(text, krl_programs.CELL, "krl")
+    result = correction.process(program, model, krl_programs.CELL, None)
+    assert not result.failed, result.issues
+    assert not issues_of(result, "dwell-in-material")
+    offset = distances(result)
+    assert offset.max() > 0.2
+    ends = np.flatnonzero((result.t == 1.0) & np.isin(result.motion, [1, 2]))
+    np.testing.assert_allclose(offset[ends], 0.0, atol=2e-4)
+
+
+def test_a_spline_piece_keeps_its_force_to_the_end_and_a_wait_behind_it_is_warned_of():
+    points = ["{X 50,Y 0,Z 0,A 180,B 0,C 180}", "{X 70,Y 40}", "{X 90,Y 70}"]
+    force = ";FORCE FX=-110 FY=-190 FZ=330"
+    spline = ["SPLINE", force, f"SPL {points[1]}", f"SPL {points[2]}", "ENDSPLINE", "WAIT SEC 1"]
+    text = body(f"LIN {points[0]}", *spline, ";FORCE OFF", "LIN {Z 90}")
+    program, model = setting.read_with_robot(text, krl_programs.CELL, "krl")
+    result = correction.process(program, model, krl_programs.CELL, None)
+    assert not result.failed, result.issues
+    (issue,) = issues_of(result, "dwell-in-material")
+    beyond = distances(result)[(result.t == 1.0) & np.isin(result.source_line, issue.lines or (issue.source_line,))]
+    assert f"cuts up to {beyond.max():.2f} mm beyond the nominal one" in issue.message
 
 
 def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
@@ -58,6 +155,7 @@ def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
     lines += ["LIN {X 7}", "PAUSE()", "SHOW()"]
     subs = "DEF PAUSE()\r\nREADY()\r\nEND\r\nDEF READY()\r\nWAIT FOR $IN[1]\r\nEND\r\n"
     subs += "DEF SHOW()\r\nWAIT SEC 0\r\n$OUT[1]=TRUE\r\nEND\r\n"
+    assert read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}") + subs).events == ()  # not called
     events = read(body("LIN {X 100,Y 20,Z 30,A 10,B 20,C 170}", *lines) + subs).events
     waits = [(event.before, event.line, event.value) for event in events if event.kind == "dwell"]
     unknown = pytest.approx(np.nan, nan_ok=True)
@@ -69,6 +167,19 @@ def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
         (7, 17, unknown),
         (8, 20, unknown),
     ]
+
+
+def test_a_wait_of_krl_is_behind_each_motion_that_may_be_the_last_before_it():
+    def point(x):
+        return f"LIN {{X {x},Y 20,Z 30,A 10,B 20,C 170}}"
+
+    lines = [point(7), "IF $IN[1] THEN", "WAIT SEC 1", point(8), point(9), "ELSE", "WAIT SEC 2", "WAIT SEC 3", point(9)]
+    lines += ["ENDIF", "WAIT SEC 4", point(5), "IF $IN[2] THEN", "HALT", "ENDIF", "WAIT SEC 5", point(6)]
+    events = read(body(*lines)).events
+    waits = [(event.value, event.before - 1) for event in events if event.kind == "dwell"]
+    assert waits[:-2] == [(1.0, 0), (2.0, 0), (3.0, 0), (4.0, 2), (4.0, 3)]
+    assert np.isnan(waits[-2][0])
+    assert [motion for _, motion in waits[-2:]] == [4, 4]
 
 
 def test_waits_of_rapid_are_known_in_execution_order():

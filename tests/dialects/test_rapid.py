@@ -337,7 +337,8 @@ def test_what_is_written_is_read_as_the_same_program_in_krl(tmp_path):
         'robot = "any"\n'
         + "".join(line for line in ABB_CELL_FILE.read_text().splitlines(True) if not line.startswith(own))
     )
-    text = convert_to_rapid(tmp_path, GCODE, "--nominal", cell=cell)
+    # without the wait, behind which the force rises over a piece of arc that is too small for MoveC
+    text = convert_to_rapid(tmp_path, GCODE.replace("G4 P0.5\n", ""), "--nominal", cell=cell)
     printed("convert", tmp_path / "part.nc", "--cell", cell, "--nominal", "-o", tmp_path / "krl")
     other = krl.read_program(
         [decode("part.src", (tmp_path / "krl" / "part.src").read_bytes())], place().cell, place().forward, "part"

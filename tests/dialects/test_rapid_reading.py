@@ -60,6 +60,7 @@ def masked(text):
 def test_a_module_of_robodk_is_corrected_and_every_other_byte_is_kept(tmp_path):
     written = correct_module(tmp_path, ROBODK)
     old, new = masked(ROBODK), masked(written)
+    old = [line for line in old if "MoveC" not in line]  # ends before the wait, without force: its last piece is a line
     new = [line for line in new if line in old or not line.strip().startswith("Move")]
     assert [line for line in new if line in old] == old
     assert written != ROBODK

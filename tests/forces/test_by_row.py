@@ -117,7 +117,7 @@ def test_a_source_replaces_comments_on_its_motions_and_says_where_they_differ(se
         if note is not None and rng.random() < 0.6:
             wrench[n], frame[n] = np.add(note.wrench, rng.choice([0.0, 1.9e-3, 2.1e-3])), FORCE_FRAMES.index(note.frame)
     source = Knots.throughout(motion, wrench, frame)
-    knots, issues = forces.path_forces.combine(made, source, "f.csv")
+    knots, issues = forces.precedence.combine(made, source, "f.csv")
     by_motion = {int(k): (wrench[n], int(frame[n])) for n, k in enumerate(motion)}
     stated, conflicts = [], []
     for k in range(COUNT):

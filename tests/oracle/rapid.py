@@ -50,6 +50,9 @@ def matrix(pose):
     return out
 
 
+WAITING = ("waittime", "waitdi", "waituntil", "stop")
+
+
 @dataclass
 class Motion:
     """One executed move: poses in the world."""
@@ -65,6 +68,7 @@ class Motion:
     base: np.ndarray
     force: str
     conf: list[float] = field(default_factory=list)
+    waits: bool = False  # the program waits at its end
 
 
 class _Return(Exception):
@@ -592,6 +596,8 @@ class Controller:
             self.take(";")
             place.value += step
             return
+        if name in WAITING and self.motions:
+            self.motions[-1].waits = True
         while self.next() != ";":
             pass
 

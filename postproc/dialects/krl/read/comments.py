@@ -205,7 +205,8 @@ class _ActiveForce:
             return
         wrench, frame = _wrench_and_frame(force)
         origin = self.course.trace.place(line).line
-        self.notes.append((line, ForceNote(origin, wrench, frame, int(np.searchsorted(self.motions, line)))))
+        motion = int(np.searchsorted(self.motions, line))
+        self.notes.append((line, ForceNote(origin, wrench, frame, motion, is_restated=True)))
 
     def _pass_motions(self, line: int) -> None:
         """Pass the motions up to and including a line: the acting force becomes the force on the last of them.

@@ -6,7 +6,7 @@ motion must end in the same pose; a round must end in the state in which it bega
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterable, Iterator, Sequence, Set
 from typing import NamedTuple
 
 import numpy as np
@@ -319,6 +319,35 @@ def _branch_flow(steps: Sequence[Fork | Branch | Join], line: Ints, unchecked_jo
             last_motions = ends if step in unchecked_joins else frozenset({min(ends)})
     pass_motions(len(line))
     return _BranchFlow(previous_motions, last_motions, fork_lines, joins)
+
+
+def motions_before(
+    course: Course, line: Ints, kept_lines: Sequence[int], rows: Iterable[int]
+) -> Iterator[tuple[int, int]]:
+    """Yield for rows of the trace each motion that may be the last before: the row and the motion; −1: none is.
+
+    Behind uncorrected motions nothing is yielded.
+
+    :param line: (M,) lines of the trace with the motions.
+    :param kept_lines: lines of uncorrected motions.
+    :param rows: other rows of the trace, ascending.
+    """
+    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    other_rows, kept_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, kept_lines))
+    all_rows = np.unique(np.concatenate([line, other_rows, kept_rows]))
+    # with all joins unchecked, the end of each branch is kept, not one that stands for all
+    joins = frozenset(step for step in steps if isinstance(step, Join))
+    previous_rows = _branch_flow(steps, all_rows, joins).previous_motions
+    # the motions that may be the last up to each row of all rows; none up to an uncorrected motion; −1: the start
+    last_motions: dict[int, set[int]] = {-1: {-1}} | {k: set() for k in np.searchsorted(all_rows, kept_rows).tolist()}
+    for index in np.searchsorted(all_rows, other_rows).tolist():
+        motions = set[int]()
+        for previous in previous_rows.get(index, {index - 1}):
+            if previous not in last_motions:
+                last_motions[previous] = {int(np.searchsorted(line, all_rows[previous]))}
+            motions |= last_motions[previous]
+        last_motions[index] = motions
+        yield from ((int(all_rows[index]), motion) for motion in sorted(motions))
 
 
 def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:

@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.dialects.krl.course import Join, Occasion
+from postproc.dialects.krl.course import Course, Join, Occasion
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
@@ -45,6 +45,7 @@ from postproc.dialects.krl.read.joins import (
     endless_rounds,
     is_ptp_to_joints,
     joins_before_joint_targets,
+    motions_before,
     predecessors_and_joins,
     transitions,
 )
@@ -60,6 +61,7 @@ from postproc.dialects.krl.read.motions import (
 )
 from postproc.dialects.krl.read.next_run import changed_data_issues, kept_values
 from postproc.dialects.krl.read.plain_lines import PlainLines, plain_lines_of, plain_rows_of_trace
+from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import SeparatedMotions, depends_on_start, without_unresolved
 from postproc.dialects.krl.read.variables import Variables
@@ -67,7 +69,7 @@ from postproc.dialects.krl.read.waits import waits
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, combined_error
 from postproc.frames import DEG_PER_RAD, Array, any_column
-from postproc.program import PTP, Document, ForceNote, Ints, Motions, NeededFile, Program, distinct
+from postproc.program import PTP, Document, Event, ForceNote, Ints, Motions, NeededFile, Program, distinct
 
 
 def read_program(
@@ -254,7 +256,7 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=(*remarks(course, layout.line), *waits(course, self._routines(), layout.line, run.waiting_calls)),
+            events=(*remarks(course, layout.line), *self._waits(run, course, layout.line)),
             notes=tuple(note for _, note in order.notes),
             still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
@@ -273,6 +275,16 @@ class _Reading(Struct, frozen=True, eq=False):
             needed=needed_files,
             layout=replace(layout, notes=tuple(line for line, _ in order.notes)),
         )
+
+    def _waits(self, run: Run, course: Course, line: Ints) -> Iterator[Event]:
+        """Yield the waits of a program as dwells, one for each motion at whose end the program may wait.
+
+        :param line: (M,) lines of the trace with the motions.
+        """
+        times = waits(course, self._routines(), run.waiting_calls)
+        kept_lines = [line for line, _ in run.unresolved_motions]
+        for row, motion in motions_before(course, line, kept_lines, times) if times else ():
+            yield Event(before=motion + 1, kind="dwell", line=course.trace.shown_line(row), value=times[row])
 
     def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
         """Return which motions of a program follow each other, and under which force comments.

@@ -923,12 +923,9 @@ def _frame_text(frame: Position) -> str:
     return f"{{{', '.join(given_components)}}}"
 
 
-def _cell_value(value: float | str) -> Number | Word:
-    """Return a value of the cell as one of KRL: a BOOL, an INT, a REAL or, for a text, one of an enumeration.
-
-    It is in no text of the program.
-    """
-    if isinstance(value, bool | str):
+def _cell_value(value: float) -> Number | Word:
+    """Return a bool, int or float of the cell as a value of KRL: a BOOL, an INT or a REAL; it is in no text."""
+    if isinstance(value, bool):
         return Word(str(value).upper(), start=0, stop=0)
     return Number(float(value), start=0, stop=0, is_integer=isinstance(value, int))
 

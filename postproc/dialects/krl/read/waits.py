@@ -11,7 +11,6 @@ import numpy as np
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
-from postproc.program import Event, Ints
 
 _WAIT = re.compile(
     r"WAIT[ \t]+SEC\b(?P<time>.*)|WAIT[ \t]+FOR\b[ \t(]*(?P<is_true>TRUE[ \t)]*\Z)?|HALT\b", re.IGNORECASE
@@ -20,15 +19,13 @@ _FIRST_CHARACTERS = frozenset("WwHh \t")
 """A line that waits begins with one of these: the word, or blanks before it."""
 
 
-def waits(
-    course: Course, routines: Iterable[Routine], motions: Ints, waiting_calls: Iterable[int]
-) -> tuple[Event, ...]:
-    """Return the waits of a program in execution order, each as a dwell at the next motion.
+def waits(course: Course, routines: Iterable[Routine], waiting_calls: Iterable[int]) -> dict[int, float]:
+    """Return the rows of the trace at which a program waits, ascending, and how long [s].
+
+    NaN is a time that is not a number, or depends on a condition.
 
     :param routines: the routines whose lines may be in the trace.
-    :param motions: (M,) lines of the motions in the trace.
     :param waiting_calls: rows of the trace that call a routine which waits and is not in the trace.
-    :returns: their value is the time [s]; NaN if it is not a number, or depends on a condition.
     """
     time_of_row = dict.fromkeys(waiting_calls, math.nan)
     for routine in routines:
@@ -37,19 +34,13 @@ def waits(
         times = {line: time for line in routine.other_lines if (time := wait_time(routine.source, line)) != 0.0}
         lines = np.array(list(times), dtype=np.int64)
         rows, index = course.rows_of(routine.source, lines)
+        # a trace that is the file line by line has the routines that are not called too
+        is_run = (rows >= course.body.first) & (rows < course.body.stop)
         if course.may_run is not None:
-            is_run = course.may_run[rows - 1]
-            rows, index = rows[is_run], index[is_run]
+            is_run &= course.may_run[rows - 1]
+        rows, index = rows[is_run], index[is_run]
         time_of_row |= {row: times[line] for row, line in zip(rows.tolist(), lines[index].tolist(), strict=True)}
-    return tuple(
-        Event(
-            before=int(np.searchsorted(motions, row)),
-            kind="dwell",
-            line=course.trace.shown_line(row),
-            value=time_of_row[row],
-        )
-        for row in sorted(time_of_row)
-    )
+    return dict(sorted(time_of_row.items()))
 
 
 def wait_time(source: Source, line: int) -> float:

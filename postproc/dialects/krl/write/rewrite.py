@@ -462,8 +462,33 @@ class _Rewriter:
         note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that applies; −1: none
         # start=0.0: no force acts before the first comment
         needs_comments = needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, start=0.0)
+        needs_comments[self._targets_behind_releases(note)] = True
         rows = np.flatnonzero(needs_comments)
         return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
+
+    def _targets_behind_releases(self, note: Ints) -> list[int]:
+        """Return the targets behind a branch or a join whose force the text does not state, though `notes` does.
+
+        The reader restates the acting force there. Before a wait the written program has ended it.
+
+        :param note: (K,) index of the last note that applies to each target; −1: none.
+        """
+        motion, notes, after = self.motion_of_target, self.program.notes, self.program.after
+        if after is None or self.comment_forces is None:
+            return []
+        end_target = np.full(len(self.program.motions) + 1, -1)
+        end_target[motion[self.is_last]] = np.flatnonzero(self.is_last)
+        rows = np.flatnonzero((np.diff(note, prepend=-1) != 0) & (np.diff(motion, prepend=-1) != 0) & (note >= 0))
+        targets = []
+        for target in rows.tolist():
+            previous = after.item(motion[target])
+            while previous >= 0 and self.program.motions.kind[previous] == PTP:  # carries no force, and ends none
+                previous = after.item(previous) if after.item(previous) < previous else -1
+            end = int(end_target[previous])
+            if notes[note[target]].is_restated and end >= 0 and note[end] >= 0 and any(notes[note[end]].wrench):
+                released = not self.comment_forces.wrench[end : end + 1].any()
+                targets += [target] if released else []
+        return targets
 
     def _replace_comment(self, target: int, text: str) -> bool:
         """Replace the force comment on the line of a target; return whether this was possible.
