@@ -108,13 +108,19 @@ _TOOL = "Give the tool in the cell, [tool]. Only G43 with H is accepted, without
 _ROTATION_ADVICE = (
     "Scaled, mirrored, rotated and polar coordinates are not supported: set the CAM system to output plain ones."
 )
+_TILTED_PLANE = (
+    "Tilted work planes are not supported: switch them off in the post, so that it writes G43.4 with positions of the "
+    'rotary axes ([rotary] kind = "tcp" in the cell) or turns the part (kind = "indexed"), or convert the '
+    "cutter-location file (APT) of the operation."
+)
 
 _ADVICE_G = {
     **dict.fromkeys((5.0, 5.1, 5.2, 5.3, 6.1, 6.2, 6.3), _SPLINE),
     **dict.fromkeys((7.0, 8.0), _LATHE),
     **dict.fromkeys((28.1, 30.1), _PLACES),
     SCALE_OFF: "G50 is accepted without other words, as the end of a scale. The G50 of lathes is not supported.",
-    **dict.fromkeys((16.0, 51.0, 51.1, 68.0, 68.2), _ROTATION_ADVICE),
+    **dict.fromkeys((16.0, 51.0, 51.1, 68.0), _ROTATION_ADVICE),
+    **dict.fromkeys((53.1, 53.6, 68.2, 68.3, 68.4), _TILTED_PLANE),
     **dict.fromkeys((17.1, 18.1, 19.1), "Planes of U, V, W are not supported."),
     **dict.fromkeys((31.0, 33.0, 33.1, 38.2, 38.3, 38.4, 38.5), _PROBE),
     **dict.fromkeys(RADIUS_BY_OFFSET, _COMPENSATION),
