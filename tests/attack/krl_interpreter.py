@@ -19,8 +19,8 @@ import numpy as np
 from tests.oracle.arm import abc, rot
 
 TOKEN = re.compile(
-    r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<literal>'[BbHh][0-9A-Fa-f]+')|(?P<string>"[^"]*")
-    |(?P<enum>\#\w+)|(?P<name>[A-Za-z_$][\w$]*)|(?P<sign>==|<>|<=|>=|[-+*/:(){}\[\].,=<>]))""",
+    r"""\s*(?:(?P<number>(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<literal>'[BbHh][ \t]*[0-9A-Fa-f]+')
+    |(?P<string>"[^"]*")|(?P<enum>\#\w+)|(?P<name>[A-Za-z_$][\w$]*)|(?P<sign>==|<>|<=|>=|[-+*/:(){}\[\].,=<>]))""",
     re.VERBOSE,
 )
 OPENING = {

@@ -208,7 +208,7 @@ def _motion(draw):
         external = draw(st.sampled_from(["", ",E1 5.0,E2 0", ",S 2,T 10"]))
         text = f"{word} {draw(aggregates(components, external))}{tail}"
     elif kind == 5:
-        bits = draw(st.sampled_from([",S 2,T 34", ",S 'B110',T 'B100010'", ""]))
+        bits = draw(st.sampled_from([",S 2,T 34", ",S 'B110',T 'B 100010'", ""]))
         text = f"{draw(st.sampled_from(['PTP', 'SPTP']))} {draw(aggregates('XYZABC', bits))}"
         tail = draw(st.sampled_from(["", " C_PTP", " C_PTP C_DIS"]))
         text += tail

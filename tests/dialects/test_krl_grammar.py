@@ -25,7 +25,7 @@ $BASE=BASE_DATA[3]:{X 1,Y -2.5E-3,Z 'HFF',A 0,B 0,C 0}
 $VEL.CP=0.1
 msg[]="a;b"
 PTP {A1 0,A2 -90,A3 90,A4 0,A5 -3*n,A6 0} C_PTP C_DIS
-LIN {E6POS: X 1,Y 2,Z 3,A 0,B 90,C 0,S 'B010',T 'B100010',E1 0.0} C_DIS
+LIN {E6POS: X 1,Y 2,Z 3,A 0,B 90,C 0,S 'B 010',T 'B100010',E1 0.0} C_DIS
 lin xp1:{x 1} c_vel
 LIN_REL {Z 10} C_DIS #BASE
 LIN_REL {Z 10} #TOOL
@@ -49,7 +49,7 @@ FOR n=1 TO 10 STEP -2*m[1]
     EXIT
   ENDIF
 ENDFOR
-SWITCH n B_AND 'B101'
+SWITCH n B_AND 'B 101'
 CASE 1,2
   REPEAT
     WAIT SEC 0.5
@@ -112,7 +112,7 @@ def test_samples_and_random_programs_are_taken():
             check(Path(name).name, text)
 
 
-LINE = "LIN {E6POS: X 1,Y 2,Z 3,A 0,B 90,C 0,S 'B010',T 'B100010',E1 0.0} C_DIS"
+LINE = "LIN {E6POS: X 1,Y 2,Z 3,A 0,B 90,C 0,S 'B 010',T 'B100010',E1 0.0} C_DIS"
 PLANTED = [
     # text, what takes its place, what is said
     (LINE, "LIN {X 1,Y 2,Z}", "no KRL"),

@@ -185,6 +185,22 @@ def test_status_and_turn_change_only_when_they_differ():
     assert ",S" not in lines[2]
 
 
+@pytest.mark.parametrize(
+    ("text", "corrected"),
+    [
+        ("S 'B 110',T 'B 000011'", "S 'B 010',T 'B 100010'"),
+        ("S 'b\t110',T 'b011'", "S 'b\t010',T 'b100010'"),
+        ("S 'H6',T 'h 03'", "S 'H2',T 'h 22'"),
+    ],
+)
+def test_status_and_turn_keep_their_notation(text, corrected):
+    program = read(body(f"PTP {{X 1,Y 2,Z 3,A 4,B 5,C 6,{text}}}"))
+    for bits, expected in (((6, 3), text), ((2, 34), corrected)):
+        written = krl.rewrite(program, targets(program, up(program, 0), bits=tuple(np.array([b]) for b in bits)))
+        line = written.documents[0].text.splitlines()[3]
+        assert line[line.index("S ") :] == f"{expected}}}"
+
+
 def test_axis_targets_have_no_row_and_stay_to_the_byte():
     axis = "PTP {A1 0,A2 -90,A3 90.0,A4 0,A5 0,A6 0} ; home"
     (lines, *_), _ = rewritten(body(axis, FULL, axis), raised=[1])

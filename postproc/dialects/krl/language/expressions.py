@@ -23,6 +23,7 @@ from postproc.dialects.krl.language.tokens import (
     NUMBER_PATTERN,
     STRING,
     TAG,
+    literal_value,
     operator_at,
     read_negations,
     skip_blanks,
@@ -250,8 +251,7 @@ def operand_at(source: Source, start: int, stop: int) -> _Read:
     if match := INTEGER_LITERAL.match(text, start, stop):
         if match.end() - start > _MAX_INT_LENGTH:
             raise source.error(f"{match[0][:20]}… is not an INT", start, advice="Write the number in decimal notation.")
-        number = float(int(match["binary"], 2) if match["binary"] else int(match["hexadecimal"], 16))
-        return Number(number, start, match.end(), True), match.end()
+        return Number(float(literal_value(match)), start, match.end(), True), match.end()
     if match := STRING.match(text, start, stop):
         return Word(match[0], start, match.end()), match.end()
     if match := ENUM.match(text, start, stop):

@@ -16,7 +16,7 @@ _WORD = re.compile(r"\"[^\"]*\"?|(?<![\w$#.])[A-Za-z_$][\w$]*", re.ASCII)
 _OPERATOR = re.compile(r"==|<>|<=|>=|<|>|(?:B_)?(?:AND|OR|EXOR)\b", re.IGNORECASE)
 _NOT_WORD = re.compile(r"NOT\b", re.IGNORECASE)
 _OCCURRENCE = re.compile(
-    r"\"[^\"]*\"|'[BbHh][0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
+    r"\"[^\"]*\"|'[BbHh][ \t]*[0-9A-Fa-f]+'|[.#][ \t]*[A-Za-z_]\w*|\d[\w.]*|[A-Za-z_$][\w$]*|[\[\](){},]", re.ASCII
 )
 NUMBER_PATTERN = r"[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?"
 NUMBER = re.compile(NUMBER_PATTERN)
@@ -29,7 +29,10 @@ COMPONENT = re.compile(
 """A component of an aggregate whose value is a number, with the comma that follows."""
 ITEM_NAME = re.compile(r"[ \t]*(?P<name>[A-Za-z_]\w*)[ \t]*(?:\[[ \t]*\])?[ \t]*", re.ASCII)
 TAG = re.compile(r"[ \t]*(?P<tag>[A-Za-z_]\w*)[ \t]*:", re.ASCII)
-INTEGER_LITERAL = re.compile(r"'(?:[Bb](?P<binary>[01]+)|[Hh](?P<hexadecimal>[0-9A-Fa-f]+))'")
+INTEGER_LITERAL = re.compile(
+    r"'(?:(?P<binary_sign>[Bb][ \t]*)(?P<binary>[01]+)|(?P<hexadecimal_sign>[Hh][ \t]*)(?P<hexadecimal>[0-9A-Fa-f]+))'"
+)
+"""An INT in binary or hexadecimal notation, such as ``'B010'``, ``'B 010'`` or ``'H2F'``."""
 STRING = re.compile(r'"[^"]*"')
 ENUM = re.compile(r"#[A-Za-z_]\w*", re.ASCII)
 FIELD = re.compile(r"[ \t]*\.[ \t]*(?P<name>[A-Za-z_][\w$]*)", re.ASCII)
@@ -147,6 +150,18 @@ def fold_at(text: str, start: int, stop: int) -> str:
 def indent(text: str) -> str:
     """Return the blanks with which a line begins."""
     return text[: len(text) - len(text.lstrip(BLANKS))]
+
+
+def literal_value(literal: re.Match[str]) -> int:
+    """Return the value of an `INTEGER_LITERAL`."""
+    return int(literal["binary"], 2) if literal["binary"] else int(literal["hexadecimal"], 16)
+
+
+def literal_with_value(literal: re.Match[str], value: int) -> str:
+    """Return an `INTEGER_LITERAL` with another value: its notation and its number of digits stay, if these suffice."""
+    if literal["binary"]:
+        return f"'{literal['binary_sign']}{value:0{len(literal['binary'])}b}'"
+    return f"'{literal['hexadecimal_sign']}{value:0{len(literal['hexadecimal'])}X}'"
 
 
 class Occurrence(Struct, frozen=True):

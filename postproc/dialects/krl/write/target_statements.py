@@ -23,7 +23,7 @@ from postproc.dialects.krl.language.motion_statements import Point
 from postproc.dialects.krl.language.parser import is_approximated, statement
 from postproc.dialects.krl.language.positions import CARTESIAN, COLUMNS, EXTERNAL
 from postproc.dialects.krl.language.source import Source
-from postproc.dialects.krl.language.tokens import INTEGER_LITERAL, word_at
+from postproc.dialects.krl.language.tokens import INTEGER_LITERAL, literal_value, literal_with_value, word_at
 from postproc.dialects.krl.language.tree import Assignment, Motion, Tail
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import FREE, Layout
@@ -378,11 +378,10 @@ def _bits_text(name: str, value: int, text: str) -> dict[str, str]:
 
     :param name: ``S`` or ``T``.
     :param value: its new value.
-    :param text: its text in the input: decimal, or binary such as ``'B010'``.
+    :param text: its text in the input: decimal, binary such as ``'B010'``, or hexadecimal such as ``'H2'``.
     """
-    match = INTEGER_LITERAL.fullmatch(text)
-    if match and match["binary"]:
-        return {} if int(match["binary"], 2) == value else {name: f"'B{value:0{len(match['binary'])}b}'"}
+    if literal := INTEGER_LITERAL.fullmatch(text):
+        return {} if literal_value(literal) == value else {name: literal_with_value(literal, value)}
     return {} if text == str(value) else {name: str(value)}
 
 
