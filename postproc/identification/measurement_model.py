@@ -142,7 +142,7 @@ def as_positions(robot: RobotModel, data: Measurements) -> Measurements:
         return data
     points = point_positions(unloaded_flange(robot, data.q), data.guess)
     start = points[data.state_config[data.state], data.point]
-    return replace(data, position=start + data.position, are_displacements=False)
+    return replace(data, position=start + data.position, are_displacements=False, has_unloaded_readings=False)
 
 
 def unloaded_flange(robot: RobotModel, q: Array) -> Array:

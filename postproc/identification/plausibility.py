@@ -33,6 +33,7 @@ from postproc.identification.measurement_model import (
 )
 from postproc.identification.outlying_configuration import check_configurations
 from postproc.identification.readings import Measurements
+from postproc.identification.return_error import is_first_repeat
 from postproc.program import Bools, Ints
 from postproc.robot import JOINT_COMPLIANCES, JOINTS, RobotModel
 
@@ -94,11 +95,12 @@ def _readings_off_repeats(data: Measurements, sigma: float) -> tuple[list[int], 
     """
     faulty_rows: list[int] = []
     sentences: list[str] = []
+    position = _without_common_change(data)
     for state, point in np.ndindex(len(data.load), len(data.points)):
         rows = np.flatnonzero((data.state == state) & (data.point == point))
         if len(rows) < 3:
             continue
-        distances = np.linalg.norm(data.position[rows] - np.median(data.position[rows], axis=0), axis=1)
+        distances = np.linalg.norm(position[rows] - np.median(position[rows], axis=0), axis=1)
         is_outlier = distances > _GROSS_SIGMAS * _DISTANCE_FACTOR * sigma
         if 0 < np.count_nonzero(is_outlier) < 0.5 * len(rows):
             faulty_rows += rows[is_outlier].tolist()
@@ -107,6 +109,28 @@ def _readings_off_repeats(data: Measurements, sigma: float) -> tuple[list[int], 
                 for row, distance in zip(rows[is_outlier], distances[is_outlier], strict=True)
             ]
     return faulty_rows, sentences
+
+
+def _without_common_change(data: Measurements) -> Array:
+    """Return the positions (n, 3) [m]; of displacements, the first repeat without the change that its points share.
+
+    Gears with hysteresis make this change (`return_error`), so it is no gross error. It is the median of the points'
+    distances from their later repeats, which a gross error of one point in three does not move.
+    """
+    position = data.position.copy()
+    if data.has_unloaded_readings:
+        return position
+    is_first = is_first_repeat(data)
+    for state in data.loaded_states.tolist():
+        is_in_state = data.state == state
+        later_rows = [
+            np.flatnonzero(is_in_state & ~is_first & (data.point == point)) for point in range(len(data.points))
+        ]
+        rows = [row for row in np.flatnonzero(is_in_state & is_first).tolist() if len(later_rows[data.point[row]]) > 0]
+        if rows:
+            changes = [position[row] - np.median(position[later_rows[data.point[row]]], axis=0) for row in rows]
+            position[rows] -= np.median(changes, axis=0)
+    return position
 
 
 def _robust_sigma(data: Measurements) -> float:

@@ -36,6 +36,7 @@ from postproc.identification.measurement_model import (
 from postproc.identification.moved_device import moved_device
 from postproc.identification.plausibility import check_loads, displacement_ratio, hysteresis_warnings
 from postproc.identification.readings import Measurements, gaps
+from postproc.identification.return_error import CLEAR_SCATTER, noise_scatter
 from postproc.identification.stated_levels import doubt_of_levels
 from postproc.identification.stated_loads import doubt_of_loads
 from postproc.identification.stated_points import displaced_points
@@ -435,8 +436,8 @@ def _readings_with_checked_noise(data: Measurements) -> tuple[Measurements, list
 
     A note says that the scatter is used, or that the stated noise is clearly larger than the scatter and is kept.
     """
-    squares, dof = data.scatter()
-    if dof < 30:  # the scatter would be known to 13 % at best
+    squares, dof = noise_scatter(data)
+    if dof < CLEAR_SCATTER:
         return data, []
     scatter = float(np.sqrt(squares / dof))
     # a scatter has a relative standard deviation of 1/√(2 dof): four of these are clear

@@ -240,6 +240,7 @@ class Measurements(Struct, frozen=True, eq=False):
     :param load_error: 95 % bound of the common relative error of all loads.
     :param load_point_error: standard deviation of the load point, in each direction [m].
     :param are_displacements: `position` of a loaded state is the displacement from the state without load, root axes.
+    :param has_unloaded_readings: False for positions computed from displacements: their states without load were added.
     """
 
     file: str
@@ -261,6 +262,7 @@ class Measurements(Struct, frozen=True, eq=False):
     load_error: float = 0.0
     load_point_error: float = 0.0
     are_displacements: bool = False
+    has_unloaded_readings: bool = True
 
     @property
     def loaded_states(self) -> Ints:

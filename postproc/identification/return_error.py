@@ -6,8 +6,16 @@ configurations left out do not show it; a job, which loads the robot in another 
 The states without load show it directly: in the first repeat of a configuration the robot has just arrived, in the
 later ones it comes back from the loads.
 
-A device that drifts evenly moves the readings too, by the same amount from each repeat to the next. The second
-difference of three repeats, x1 − 2 x2 + x3, has no such part; with the second and third alike it is x1 − x2.
+**Positions** (`return_errors`). A device that drifts evenly moves the readings too, by the same amount from each repeat
+to the next. The second difference of three repeats, x1 − 2 x2 + x3, has no such part; with the second and third alike
+it is x1 − x2.
+
+**Displacements** (`displacement_changes`). The state without load is not in the file, but each displacement begins
+there. A gear with hysteresis is a play in series with a spring: the first load moves it from wherever it arrived to the
+end of the play, and from then on each load closes the same loop (Krasnosel'skii and Pokrovskii, Systems with
+Hysteresis, 1989, section 2). So the displacement of the first repeat differs from those of the later ones by the return
+error, equally at all points but for a small rotation. This change is no noise of the device, and `noise_scatter` is
+without it.
 """
 
 from __future__ import annotations
@@ -15,12 +23,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from postproc.frames import Array
 from postproc.identification.readings import Measurements
+from postproc.program import Bools, Ints
 
 _FEWEST_CONFIGURATIONS = 4
-"""Fewest configurations with three repeats of the unloaded state from which return errors are judged (assumed)."""
+"""Fewest configurations with repeats of the same state from which return errors are judged (assumed)."""
+CLEAR_SCATTER = 30
+"""Degrees of freedom from which the scatter of the repeats counts as noise: it is known to 13 %, 1/√(2 dof)."""
 GEARS_RETURN = (
     "the gears have no hysteresis: only readings without load before, between and after loads show it. Measure three "
     "repeats of each configuration, each from the state without load through all loads and back"
@@ -72,3 +84,66 @@ def _first_three_places(data: Measurements, state: int) -> Array | None:
         return None
     is_counted = np.isin(data.point, points)
     return np.array([data.position[rows & is_counted].mean(axis=0) for rows in rows_of_repeat])
+
+
+class DisplacementChanges(NamedTuple):
+    """Changes of n displacements from the first repeat to the mean of the later ones.
+
+    :param state: (n,) the loaded state of each.
+    :param change: (n, 3) weighted mean over the points [m].
+    :param weight: (n,) reciprocal variance of one coordinate of a change, for readings with the variance 1.
+    """
+
+    state: Ints
+    change: Array
+    weight: Array
+
+
+def displacement_changes(data: Measurements) -> DisplacementChanges | None:
+    """Return the changes of displacements from the first repeat of a configuration to its later repeats.
+
+    None if the readings are positions, or if fewer than `_FEWEST_CONFIGURATIONS` have a change. States and points
+    without a reading in the first or in a later repeat do not count.
+    """
+    if data.has_unloaded_readings:
+        return None
+    is_first = is_first_repeat(data)
+    first, first_count = replace(data, used=data.used & is_first).means()
+    later, later_count = replace(data, used=data.used & ~is_first).means()
+    # the difference of two means has the variance 1/n₁ + 1/n₂ for readings with the variance 1
+    point_weight = first_count * later_count / np.maximum(first_count + later_count, 1.0)
+    point_weight[data.unloaded_states] = 0.0
+    weight = point_weight.sum(axis=1)
+    states = np.flatnonzero(weight > 0.0)
+    if len(np.unique(data.state_config[states])) < _FEWEST_CONFIGURATIONS:
+        return None
+    change = np.einsum("sp,spi->si", point_weight, first - later)[states] / weight[states, None]
+    return DisplacementChanges(states, change, weight[states])
+
+
+def is_first_repeat(data: Measurements) -> Bools:
+    """Return whether each reading (n,) is of the first repeat with used readings under load of its configuration."""
+    config = data.state_config[data.state]
+    repeat = np.where(data.used & (data.load[data.state] != 0.0), data.repeat, np.inf)
+    first_repeat = np.full(len(data.q), np.inf)
+    np.minimum.at(first_repeat, config, repeat)
+    return np.asarray(data.repeat == first_repeat[config])
+
+
+def noise_scatter(data: Measurements) -> tuple[float, int]:
+    """Return the sum of squares of the repeats about their means [m²], and its degrees of freedom.
+
+    Without the changes of displacements from the first repeat to the later ones, see `displacement_changes`.
+    """
+    squares, dof = data.scatter()
+    changes = displacement_changes(data)
+    if changes is None:
+        return squares, dof
+    # each change is one more unknown of its state, with three coordinates
+    return squares - float(np.sum(changes.weight[:, None] * changes.change**2)), dof - changes.change.size
+
+
+def noise_variance(data: Measurements) -> float:
+    """Return the variance of one coordinate of a reading [m²]: by the repeats if these are enough, else as stated."""
+    squares, dof = noise_scatter(data)
+    return squares / dof if dof >= CLEAR_SCATTER else data.sigma**2

@@ -7,7 +7,8 @@ of noise and parameters. δ is estimated from the errors, each configuration wei
 reading δ is log-normal about a thousandth of the displacements at its level, and one standard deviation is a
 factor of 4.5; so it is never zero, and few configurations leave it wide. The result is the 95 % quantile of the errors,
 integrated over the distribution of δ: a smooth function of the readings, without a threshold. Hysteresis of gears shows
-in the states without load too (`return_error`): the unmodelled error is at least how far the tool does not return.
+in the states without load too, and in displacements from repeat to repeat (`return_error`): the unmodelled error is at
+least how far the tool does not return.
 
 **Errors of the set-up** (`add_stated_errors`) that no reading shows, as the experiment states them: of all loads, and
 of the load point. A load cell that is wrong by 2 % makes every spring look 2 % softer without any residual; an error of
@@ -58,7 +59,7 @@ from postproc.identification.measurement_model import (
 )
 from postproc.identification.readings import Measurements
 from postproc.identification.record import RESERVATION
-from postproc.identification.return_error import return_errors
+from postproc.identification.return_error import displacement_changes, noise_variance, return_errors
 from postproc.program import Ints
 from postproc.robot import (
     JOINT_COMPLIANCES,
@@ -90,8 +91,6 @@ _DELTA_COUNT, _DELTA_SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
 _LENGTHS = 2000
 """Lengths between which the 95 % quantile is interpolated (assumed): neighbours differ by a per cent or less."""
-_CLEAR_SCATTER = 30
-"""Degrees of freedom from which the scatter of the repeats replaces the stated noise."""
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
@@ -102,8 +101,8 @@ class Discrepancy(Struct, frozen=True, eq=False):
     :param noise: (m,) part of `held_out` that the noise of the readings makes, RMS [m].
     :param own: (m,) part of `held_out` that the uncertainty of the parameters makes, RMS [m].
     :param u95: (m,) bound of 95 % on the unmodelled error [m], at least `returned`.
-    :param returned: bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: it was not
-        measured in three repeats.
+    :param returned: bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: the
+        readings do not show it.
     """
 
     load: Array
@@ -132,6 +131,8 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     at_level = [rows for rows in at_level if len(rows) > 0]
     medians = [_MEDIAN_SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))) for rows in at_level]
     returned = _return_bound(data, medians[0])
+    if returned is None:
+        returned = _change_bound(data, medians[0])
     u95 = [
         max(unmodelled_error(errors.error[rows], errors.covariance[rows], median), returned or 0.0)
         for rows, median in zip(at_level, medians, strict=True)
@@ -157,6 +158,20 @@ def _return_bound(data: Measurements, median: float) -> float | None:
     if errors is None:
         return None
     return unmodelled_error(errors.error, np.tile(errors.variance * np.eye(3), (len(errors.error), 1, 1)), median)
+
+
+def _change_bound(data: Measurements, median: float) -> float | None:
+    """Return the bound of 95 % on the change of displacements from the first repeat to later ones [m]; None: not known.
+
+    :param median: median of its standard deviation before any reading [m].
+    """
+    changes = displacement_changes(data)
+    if changes is None:
+        return None
+    variance = noise_variance(data) / changes.weight
+    config = data.state_config[changes.state]
+    weight = 1.0 / np.bincount(config)[config]  # the loads of a configuration share the state without load
+    return unmodelled_error(changes.change, variance[:, None, None] * np.eye(3), median, weight)
 
 
 class _MeanPointErrors(NamedTuple):
@@ -251,8 +266,7 @@ def displacement_noise(data: Measurements) -> Array:
 
     The noise of a reading is the scatter of the repeats if its degrees of freedom are enough, else the stated noise.
     """
-    squares, dof = data.scatter()
-    sigma2 = squares / dof if dof >= _CLEAR_SCATTER else data.sigma**2
+    sigma2 = noise_variance(data)
     _, reading_count = data.means()
     count = np.maximum(reading_count, 1.0)
     unloaded_state = data.unloaded_states[data.state_config[data.loaded_states]]
