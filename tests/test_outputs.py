@@ -166,6 +166,19 @@ def test_a_changed_earlier_program_is_not_touched_but_named():
     assert content() == before
 
 
+def test_the_result_of_a_program_that_left_its_folder_is_named():
+    Path("parts").mkdir()
+    for name in ("one.nc", "two.nc"):
+        (Path("parts") / name).write_text("G0 X1")
+    assert "no longer there" not in convert("parts").stderr
+    Path("parts/one.nc").unlink()
+    said = f"programs that are no longer there: {Path('out/one.src')}. Do not load them."
+    assert said in convert("parts").stderr
+    assert "no longer there" not in convert("parts/two.nc").stderr  # the user did not name the folder
+    Path("out/one.src").unlink()
+    assert "no longer there" not in convert("parts").stderr
+
+
 def test_an_unusable_cell_leaves_the_earlier_programs_and_names_them():
     convert()
     before = content()

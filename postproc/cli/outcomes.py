@@ -55,7 +55,7 @@ def run_jobs(
     :raises PostprocError: the work cannot begin or go on.
     """
     from postproc.errors import PostprocError
-    from postproc.jobs import convert_all, leftover_note
+    from postproc.jobs import convert_all, leftover_note, removed_programs_note
 
     outcome_of: dict[str, Outcome] = {}
     try:
@@ -84,6 +84,8 @@ def run_jobs(
         ctx.exit(128 + getattr(cause, "number", 2))  # 128 + number of the signal; 2: Ctrl-C
     outcomes = [outcome_of[str(job.program)] for job in jobs]
     _print_outcomes(outcomes, jobs, as_json=as_json)
+    if note := removed_programs_note(jobs, settings.mode):
+        say(note)
     return outcomes
 
 

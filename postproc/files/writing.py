@@ -104,6 +104,14 @@ def recorded_names(record: Path, key: str) -> list[str]:
         return []
 
 
+def recorded_text(record: Path, key: str) -> str:
+    """Return the text that a record contains under a key; empty without the key, or if it is no record of postproc."""
+    try:
+        return str(json.loads(record.read_bytes())[key])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+
+
 def seal(text: bytes) -> bytes:
     """Return a text with the SHA-256 of its other lines added to the first one, which is a comment."""
     head, _, body = text.partition(b"\n")

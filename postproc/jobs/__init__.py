@@ -5,7 +5,7 @@ makes them, in this process or in `workers`. Other jobs have a module of their o
 `identification_files`; they are imported from there: what they need is loaded with them only.
 """
 
-from postproc.jobs.output_plan import leftover_note
+from postproc.jobs.output_plan import leftover_note, removed_programs_note
 from postproc.jobs.programs import Job, Outcome, Settings, find_jobs, load_robot, load_setup, read_documents
 from postproc.jobs.runs import convert_all
 from postproc.jobs.started_program import read_program
@@ -21,4 +21,5 @@ __all__ = [
     "load_setup",
     "read_documents",
     "read_program",
+    "removed_programs_note",
 ]

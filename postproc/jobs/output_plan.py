@@ -29,7 +29,15 @@ from postproc.dialects import registry
 from postproc.dialects.dialect import Calling, OtherFiles, SubprogramCopies
 from postproc.dialects.text import decode
 from postproc.errors import InputError, Issue, PostprocError, ProgramError
-from postproc.files import find_foreign_file, find_foreign_files, path_list, recorded_files, recorded_names, refuse
+from postproc.files import (
+    find_foreign_file,
+    find_foreign_files,
+    path_list,
+    recorded_files,
+    recorded_names,
+    recorded_text,
+    refuse,
+)
 from postproc.jobs.programs import FAILED, Job, Outcome, Settings, read_documents
 from postproc.program import Document, NeededFile
 from postproc.provenance import digest
@@ -773,6 +781,34 @@ def leftover_note(jobs: Iterable[Job], mode: Mode) -> str:
     """Return a sentence on programs of earlier runs in the output folders; empty if there are none."""
     programs = [job.output / name for job in jobs for name in _earlier_programs(job, mode)]
     return f"There before, not of this run: {path_list(programs)}." if programs else ""
+
+
+def removed_programs_note(jobs: Iterable[Job], mode: Mode) -> str:
+    """Return a sentence on written programs whose own program is no longer in the folders that the run takes.
+
+    Empty if there are none, in a prediction, and if the user named all programs of the run.
+    """
+    folder_jobs = [job for job in jobs if not job.is_named_by_user]
+    if mode == "predict" or not folder_jobs:
+        return ""
+    report_names = {(job.output, job.report_name(mode)) for job in jobs}
+    sources, extensions = {job.program.parent for job in folder_jobs}, {job.writer.extension for job in folder_jobs}
+    removed: list[Path] = []
+    for report in sorted(
+        path for folder in {job.output for job in folder_jobs} for path in folder.glob("*.report.json")
+    ):
+        program = recorded_text(report, "program")
+        if (report.parent, report.name) in report_names or any((folder / program).exists() for folder in sources):
+            continue
+        stem = report.name.removesuffix(".report.json").lower()
+        removed += [
+            report.parent / name
+            for name in recorded_files(report)
+            if PurePath(name).suffix in extensions and _is_part_name(name, stem) and (report.parent / name).exists()
+        ]
+    if not removed:
+        return ""
+    return f"Written by an earlier run from programs that are no longer there: {path_list(removed)}. Do not load them."
 
 
 def _earlier_programs(job: Job, mode: Mode) -> list[str]:
