@@ -541,7 +541,7 @@ def _payload_table(values: Numbers | None) -> str:
 def _home_line(home: Numbers | None) -> str:
     """Return the line of the home position in `$BASE` [mm]; a comment with an example if it is None."""
     if home is None:
-        example = "# home = [0, -90, 90, 0, 0, 0]   # A1 to A6: G28 and G30 go there"
+        example = "# home = [0, -90, 100, 0, 80, 0]   # A1 to A6: G28 and G30 go there"
         return f"{example}; without it the tool stays above its place"
     return f"home = [{', '.join(map(_decimal, home))}]    # X, Y, Z before the first move, and after G28 and G53"
 

@@ -290,6 +290,20 @@ def test_retracting_goes_to_the_clearance(block: str) -> None:
     assert program.motions.rapid[2:].all()
 
 
+@pytest.mark.parametrize("z", [4, 80, 90])
+def test_a_move_at_feed_from_home_goes_down_over_the_clearance(z: int) -> None:
+    text = f"G21 G90 G17 G0 X0 Y0 Z{z}\nG1 Z-1 F60\nG0 Z{z}\nG28 X\nG1 Z{z} F100\nX20 F1800\nY10\nM2"
+    for cell, heights in ((BOTH, [80, z, z] if z < 80 else [z, z]), (CELL_WITH_HOME, [z, z])):
+        program = read(text, cell)
+        m = program.motions
+        tail = slice(-len(heights), None)
+        np.testing.assert_allclose(ends(program)[tail, 2], heights, atol=1e-9)
+        np.testing.assert_allclose(ends(program)[tail, 0], 20, atol=1e-9)
+        assert m.kind[tail].tolist() == [PTP, *[LIN] * (len(heights) - 1)]
+        assert m.rapid[tail].tolist() == [True, *[False] * (len(heights) - 1)]
+        np.testing.assert_allclose(m.feed[tail][1:], 0.03)
+
+
 def test_from_home_the_robot_goes_down_over_the_clearance() -> None:
     text = G98_AT_Z9 + "G1 X5 Z-1\nG91 G28 Z0\nG90 G0 X20 Y30\nG43 Z15 H1\nG1 Z-2\nM2"
     program = read(text, BOTH)

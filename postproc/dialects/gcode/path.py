@@ -62,7 +62,7 @@ class ApproachedMoves(NamedTuple):
 
     :param moves: all moves.
     :param is_held_back: (N,) moves that are left out while X, Y, Z are not all known.
-    :param is_arrival: (N,) rapids that go to the known position instead.
+    :param is_arrival: (N,) rapids that go to the known position instead, or above it.
     """
 
     moves: Moves
@@ -71,30 +71,31 @@ class ApproachedMoves(NamedTuple):
 
 
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:
-    """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) rapids arrive there.
+    """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive there.
 
-    The move on the last row of a range arrives: it starts wherever the robot is.
+    The move on the last row of a range arrives: it starts wherever the robot is. At the start of a program that is a
+    rapid; a move at feed begins at `[start]`. After G28, G30 and G53 it may be a move at feed too.
     """
     is_held_back, is_arrival = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
-    for first, last in moves.unknown_ranges:
+    for number, (first, last) in enumerate(moves.unknown_ranges):
         begin, end = np.searchsorted(moves.row, [first, last]).tolist()  # rows never decrease
         is_held_back[begin:end] = ~moves.is_home_move[begin:end]
         arrival = slice(end, end + 1)  # the move on the last row; empty if the program ends before
-        is_arrival[arrival] = moves.code[arrival] == 0.0
+        is_arrival[arrival] = moves.code[arrival] <= (1.0 if number else 0.0)
     return is_held_back, is_arrival
 
 
 def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
     """Return the moves; each that comes from home is divided into an approach at the clearance height and the rest.
 
-    The first move from `[start]` has no separate approach: the user chose that position. Without a clearance height no
-    move has one.
+    The approach is rapid, the rest as programmed. The first move from `[start]` has no separate approach: the user
+    chose that position. Without a clearance height no move has one: the whole move is rapid.
     """
     is_held_back, is_arrival = arrivals(moves)
     # the first range is the begin of the program; the others follow G28, G30 or G53
     is_return = is_arrival & (moves.row >= min((first for first, _ in moves.unknown_ranges[1:]), default=np.inf))
     if cell_frames.clearance is None or not is_return.any():
-        return ApproachedMoves(moves, is_held_back, is_arrival)
+        return ApproachedMoves(_with_rapids(moves, is_arrival), is_held_back, is_arrival)
     returns = np.flatnonzero(is_return)
     tool_direction = cell_frames.rotary.tool_direction(moves.rotary_angles[returns, 1])
     length = _approach_lengths(moves, returns, tool_direction, cell_frames.clearance)
@@ -111,7 +112,12 @@ def add_approaches(moves: Moves, cell_frames: CellFrames) -> ApproachedMoves:
     is_arrival = np.repeat(is_arrival, count)
     is_arrival[approach_moves + 1] = False
     new_moves = replace(new_moves, end=end, rotary_angles=rotary_angles)
-    return ApproachedMoves(new_moves, np.repeat(is_held_back, count), is_arrival)
+    return ApproachedMoves(_with_rapids(new_moves, is_arrival), np.repeat(is_held_back, count), is_arrival)
+
+
+def _with_rapids(moves: Moves, is_rapid: Bools) -> Moves:
+    """Return moves of which some (N,) are rapids, whatever their code was."""
+    return replace(moves, code=np.where(is_rapid, 0.0, moves.code))
 
 
 def _approach_lengths(moves: Moves, returns: Ints, tool_direction: Array, clearance: float) -> Array:
