@@ -496,6 +496,8 @@ def test_empty_and_binary_files_are_errors(data: bytes) -> None:
         ('T"D10_END_MILL" M6', "a tool by its name, not by a number"),
         ("G6.2 P4 K0 X1 Y1 R1", "G6.2 is not supported"),
         ("BSPLINE SD=3 X1", "this is not plain G-code, but a Siemens Sinumerik program"),
+        ("$OKUMA.SSB%", "this is not plain G-code, but an Okuma program"),
+        ("$1001.SUB%", "this is not plain G-code, but an Okuma program"),
         ("G0 XNAN", "X without a number"),
         ("G0 Xinf", "X without a number"),
         ("G0 X1e3", "E word"),

@@ -39,7 +39,7 @@ FOREIGN = (
     ),
     ForeignFormat(
         "Okuma",
-        re.compile(r"\s*(\$\w+\.MIN|(N\d+\s*)?G15\s*H\d)", re.IGNORECASE),
+        re.compile(r"\s*(\$\w+\.(MIN|SUB|SSB|MSB|LIB|SDF)\b|(N\d+\s*)?G15\s*H\d)", re.IGNORECASE),
         f"{_POST}, instead of Okuma.",
     ),
     ForeignFormat(
