@@ -363,6 +363,19 @@ def test_a_routine_of_another_file_that_cannot_be_followed_is_refused_under_forc
     assert f"sub.src, line {3 + bool(force)}: stays as it is" in " ".join(kept.split())
 
 
+@pytest.mark.parametrize("is_own", [False, True])
+def test_the_name_of_a_called_routine_has_the_limit_of_program_names(is_own):
+    name = "sub_with_a_name_that_is_too_long"
+    text = Path("one.src").read_text().replace("sub()", f"{name}()")
+    routine = f"DEF {name}()\nLIN {{X 20,Y 20,Z 0,A 0,B 0,C 180}}\nEND\n"
+    Path("one.src").write_text(text + routine if is_own else text)
+    if not is_own:
+        Path(f"{name}.src").write_text(routine)
+    error = run("convert", "one.src", "-o", "out", code=1).stderr
+    assert f"{'one.src:10' if is_own else f'{name}.src:1'}: {name.upper()} is not a valid name: it has 32 char" in error
+    assert "Rename it, and its file" in error
+
+
 @pytest.mark.parametrize("motion", ["LIN $POS_ACT:{X 9}", "sub()"])
 def test_without_force_it_stays_with_a_warning_that_comes_first_and_names_the_cause(motion):
     Path("jobs").mkdir()

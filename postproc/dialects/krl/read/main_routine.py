@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 
@@ -131,7 +131,8 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     has_all_motions = run.is_final and recorder.is_final and not settings.lacked_numbers
     has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
     # errors are reported when the statements run once more
-    if not has_all_motions or has_open_part or fault_of(main.name):
+    has_faulty_name = any(fault_of(routine.name) for routine in (main, *course.inlined_routines))
+    if not has_all_motions or has_open_part or has_faulty_name:
         return course, None
     run.trace, run.shown_line = course.trace, 0  # 0: the trace has the line to report
     return course, collected_motions
@@ -205,6 +206,21 @@ def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
     if label in flow.labels(main.source, main.other_lines):
         problem = f"the label {label} precedes GOTO, or is in a control structure that GOTO is not in"
     return main.source.line_error(problem, line, JUMP_ADVICE)
+
+
+def _check_names(routines: Iterable[Routine]) -> None:
+    """Check that the controller accepts the names of the routines of a program.
+
+    :raises ProgramError: it refuses some of them.
+    """
+    advice = "Rename it, and its file if that has the same name, also where it is called."
+    errors = [
+        routine.source.line_error(f"{routine.name} is not a valid name: {fault}", routine.first, advice)
+        for routine in sorted(routines, key=lambda routine: (routine.source.document.name, routine.first))
+        if (fault := fault_of(routine.name))
+    ]
+    if errors:
+        raise combined_error(errors)
 
 
 def _may_leave_line(main: Routine, line: int) -> bool:
@@ -293,9 +309,7 @@ class MainRoutine:
         :raises ProgramError: the statements have errors; all of them together, as far as `MAX_ERRORS`.
         """
         run = self.run
-        fault = fault_of(run.routine.name)
-        if fault:
-            raise run.routine.source.line_error(f"{run.routine.name} is not a valid name: {fault}", run.routine.first)
+        _check_names([run.routine, *self.course.inlined_routines])
         _note_submit_programs(run)
         self._errors += faults
         lines = self._split_settings()
