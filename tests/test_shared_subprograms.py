@@ -163,6 +163,19 @@ def test_programs_that_each_need_several_copies_of_one_subprogram_are_all_writte
     assert done.exit_code == 0
 
 
+def test_parts_of_a_divided_program_call_copies_and_are_not_copied():
+    write_drilled(calls_others=False)
+    path = Path("hole2.src")
+    moves = "".join(f"LIN {{X {10 * k},Y 5,Z 20,A 0,B 0,C 180}}\n" for k in range(12))
+    path.write_text(path.read_text().replace("drill(20,90)", f"{moves}drill(20,90)"))
+    run("convert", "hole1.src", "hole2.src", "-o", "out", "--lines-per-file", "9")
+    written = {path.name for path in Path("out").glob("*.src")}
+    assert {"hole2Main.src", "hole21.src", "hole22.src", "drill_hole2.src"} <= written
+    assert not any(name.startswith("hole") and "_" in name for name in written)
+    run("convert", "hole2.src", "-o", "alone", "--lines-per-file", "9")
+    assert executed("out", "hole2Main") == executed("alone", "hole2Main")
+
+
 def test_a_copy_has_no_name_that_a_subprogram_of_another_program_defines():
     write_drilled(calls_others=False)
     run("convert", "hole1.src", "hole2.src", "-o", "out")

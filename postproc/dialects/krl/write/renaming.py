@@ -39,11 +39,7 @@ def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Docume
     """
     old_base = PurePath(documents[0].name).stem[: -len(MAIN)]
     new_base = name[: MAX_LENGTH - len(MAIN)]
-    document_of = {document.name.lower(): document for document in documents}
-    routine_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
-    called_names = [called_name for called_name, _ in called_parts(documents[0])]
-    stems = [f"{old_base}{MAIN}", *called_names, *(PurePath(document.name).stem for document in routine_files)]
-    new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in stems}
+    new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in _stems_of_program(documents)}
     new_globals = _new_global_names(
         [document for document in documents if _stem(document) in new_stems], old_base, new_base
     )
@@ -56,6 +52,17 @@ def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Docume
         if new_globals:
             text = NAME.sub(lambda match: new_globals.get(match[0].upper(), match[0]), text)
         yield _rename_document(replace(document, text=text), new_stem)
+
+
+def _stems_of_program(documents: Sequence[Document]) -> list[str]:
+    """Return the names of the files of a program itself, without extension: the main file and, if divided, its parts.
+
+    :param documents: the main file first; files of subprograms may be among them.
+    """
+    document_of = {document.name.lower(): document for document in documents}
+    called_names = [name for name, _ in called_parts(documents[0])]
+    routine_files = files_of_routines(documents[0], lambda name: document_of.get(name.lower()))
+    return [PurePath(documents[0].name).stem, *called_names, *(PurePath(file.name).stem for file in routine_files)]
 
 
 def _stem(document: Document) -> str:
@@ -124,13 +131,16 @@ def _visible_routines(document: Document) -> set[str]:
 
 
 def _stems_with_callers(documents: Sequence[Document], stems: Collection[str]) -> set[str]:
-    """Return names of files, and the names of all files that call them directly or indirectly, except the main file.
+    """Return names of subprograms, and the names of all subprograms that call them directly or indirectly.
 
+    :param documents: the main file first, and all files that are written with it.
     :param stems: names of files, upper case, without extension; so is the result.
     """
     stems = set(stems)
-    other_files = [(document, scan.names(document.text)) for document in documents[1:]]
-    other_files = [(document, names) for document, names in other_files if _stem(document) != _stem(documents[0])]
+    program_stems = {stem.upper() for stem in _stems_of_program(documents)}
+    other_files = [
+        (document, scan.names(document.text)) for document in documents if _stem(document) not in program_stems
+    ]
     while True:
         routines = stems.union(
             *(_visible_routines(document) for document, _ in other_files if _stem(document) in stems)
