@@ -299,3 +299,16 @@ def _width(part: Part) -> int:
     if isinstance(part, bytes):
         return len(part)
     return part.width if isinstance(part, Number) else part.shape[1]
+
+
+NUMBER_DECIMALS = 6
+"""Decimals of numbers in settings: of speeds [m/s], 1e-6 m/s is 0.06 mm/min, finer than feeds are programmed."""
+
+
+def number_text(value: float) -> str:
+    """Return a number as text in fixed-point notation, rounded to six decimals, without trailing zeros.
+
+    >>> number_text(12.5), number_text(-0.0), number_text(3.0)
+    ('12.5', '0', '3')
+    """
+    return decimal_text(value, NUMBER_DECIMALS).rstrip("0").rstrip(".")

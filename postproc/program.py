@@ -471,6 +471,7 @@ class Event(Struct, frozen=True):
     :param value: spindle speed [rpm], tool number, dwell [s], NaN if it is not known, number of the
         M-code; 0 where there is none.
     :param text: text of a comment.
+    :param waits: True if the robot waits in the lines that the cell has for it.
     """
 
     before: int
@@ -478,6 +479,7 @@ class Event(Struct, frozen=True):
     line: int
     value: float = 0.0
     text: str = ""
+    waits: bool = False
 
 
 class Places(Struct, frozen=True, eq=False):
@@ -639,14 +641,15 @@ class Program(Struct, frozen=True, eq=False):
     def waiting_motions(self) -> Ints:
         """Motions (n,) at whose end it waits, −1 for the start of the program.
 
-        Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID.
+        Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID, and
+        those of both in lines of the cell, such as spindle_on.
         Busy waiting, as by ``WHILE NOT $IN[3]``, is not found; a wait that is never reached may be among them.
         """
         return np.array(
             [
                 event.before - 1
                 for event in self.events
-                if event.kind == "stop" or (event.kind == "dwell" and event.value != 0.0)
+                if event.waits or event.kind == "stop" or (event.kind == "dwell" and event.value != 0.0)
             ],
             dtype=np.int64,
         )

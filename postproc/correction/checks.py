@@ -8,6 +8,7 @@ import numpy as np
 
 from postproc import elastostatics, kinematics
 from postproc.chunks import Runs
+from postproc.dialects import registry
 from postproc.errors import Issue, Level
 from postproc.frames import (
     DEG_PER_RAD,
@@ -462,8 +463,9 @@ def blending_issues(program: Program, motion: Ints, extra_rounding: Array, toler
     :param motion: (K,) row of `Motions` of each target.
     :param extra_rounding: (K,) rounding of the written path at each target beyond that of the programmed one [m].
     """
+    _, writer = registry.written_in(program.dialect)
     message = (
-        "approximation (C_DIS) rounds the corrected path by up to "
+        f"{writer.approximation} rounds the corrected path by up to "
         f"{np.max(extra_rounding, initial=0.0) * MM_PER_M:.3f} mm more "
         f"than the programmed one; tolerance_mm is {tolerance * MM_PER_M:g}. Use a smaller approximation distance "
         "where this matters."

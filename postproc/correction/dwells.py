@@ -2,31 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from postproc.errors import Issue
 from postproc.frames import MM_PER_M, Array, norm
-from postproc.program import Ints, Program
+from postproc.program import SPL, Ints, Program
+
+_MESSAGE = (
+    "The program waits here with the tool in material. While it waits, nothing is fed and the force ends: the tool "
+    "springs to the commanded place and cuts up to {distance} mm beyond the nominal one, where it would come without "
+    "correction. {advice}"
+)
+_SPLINE_ADVICE = "End the spline before, and wait behind a LIN, or leave out the wait"
+_BRANCH_ADVICE = (
+    "Other branches that meet here, or other rounds, do not wait: corrected, they would not meet. Wait in all of them, "
+    "or behind their join, or leave out the wait"
+)
 
 
-def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, tolerance: float) -> list[Issue]:
-    """Return a warning if a program waits where the force deflects the tool by more than the tolerance.
+def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, tolerance: float) -> Iterator[Issue]:
+    """Yield warnings if a program waits where the force deflects the tool by more than the tolerance.
 
-    At the end of lines and arcs it does not, see `forces.releases`; pieces of splines keep their force to the end.
+    At the end of lines and arcs it does not, see `forces.releases`; pieces of splines keep their force to the end, and
+    branches of which not all wait.
 
     :param motion: (K,) motion of each target.
     :param t: (K,) place of each target on its motion, in (0, 1].
     :param deflection: (K, 3) displacement of the tool tip by the force [m].
     :param tolerance: [m].
     """
+    m = program.motions
     size = np.where((t == 1.0) & np.isin(motion, program.waiting_motions), norm(deflection), 0.0)
-    size[program.motions.rapid[motion]] = 0.0
-    rows = np.flatnonzero(size > tolerance)
-    if not len(rows):
-        return []
-    message = (
-        "The program waits here with the tool in material. While it waits, nothing is fed and the force ends: the tool "
-        f"springs to the commanded place and cuts up to {size.max() * MM_PER_M:.2f} mm beyond the nominal one, where "
-        "it would come without correction. End the spline before, and wait behind a LIN, or leave out the wait"
-    )
-    return [program.motions.issue("warning", "dwell-in-material", message, motion[rows])]
+    size[m.rapid[motion]] = 0.0
+    is_spline = m.kind[motion] == SPL
+    for is_case, advice in ((is_spline, _SPLINE_ADVICE), (~is_spline, _BRANCH_ADVICE)):
+        rows = np.flatnonzero(is_case & (size > tolerance))
+        if len(rows):
+            message = _MESSAGE.format(distance=f"{size[rows].max() * MM_PER_M:.2f}", advice=advice)
+            yield m.issue("warning", "dwell-in-material", message, motion[rows])

@@ -11,15 +11,14 @@ from msgspec import Struct
 
 from postproc.cell import Cell
 from postproc.chunks import chunks
-from postproc.decimals import decimal_text
+from postproc.decimals import NUMBER_DECIMALS, number_text
+from postproc.dialects.cell_lines import lines_of
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array
 from postproc.program import CIRC, LIN, PTP, Event, Ints, Program, Targets, distinct
 from postproc.safe_text import one_line
 
 LINE_END = "\r\n"
-_DECIMALS = 6
-"""Decimals of speeds [m/s]: 1e-6 m/s is 0.06 mm/min, finer than feeds are programmed."""
 _WITHOUT_VALUE = ("spindle_off", "coolant_on", "coolant_off")
 """Kinds of events whose value says nothing."""
 _FASTEST_TURN = 200.0
@@ -178,14 +177,8 @@ class NewProgram:
         return any(getattr(gcode, kind) is not None for kind in kinds)
 
     def lines_of(self, event: Event) -> list[str]:
-        """Return the cell's lines for an event, with its value inserted; M4 without lines uses the lines of M3."""
-        if event.kind == "m_code":
-            return [self.words.printable(line) for line in self.cell.m_codes[f"M{number_text(event.value)}"]]
-        cell_lines: Sequence[str] = getattr(self.cell.gcode, event.kind) or []
-        if event.kind == "spindle_ccw":
-            cell_lines = cell_lines or self.cell.gcode.spindle_on or []
-        value = number_text(event.value)
-        return [self.words.printable(line.replace("{S}", value).replace("{T}", value)) for line in cell_lines]
+        """Return the cell's lines for an event, with its value inserted, as the controller can show them."""
+        return [self.words.printable(line) for line in lines_of(event, self.cell)]
 
     def approximation_distances(self) -> Array:
         """Return the approximation distance of each target (K,) [m].
@@ -206,7 +199,7 @@ class NewProgram:
         motions = self.program.motions
         path = np.flatnonzero(self.targets.kind != PTP)
         feed = motions.feed[self.motion_of_target[path]]
-        millionths = np.rint(feed * 10.0**_DECIMALS)
+        millionths = np.rint(feed * 10.0**NUMBER_DECIMALS)
         # NaN without a feed is invalid too
         invalid_rows = np.flatnonzero(~(millionths > 0.0))
         if len(invalid_rows):
@@ -226,7 +219,7 @@ class NewProgram:
         if swivel is None:
             return np.full(len(self.motion_of_target), np.nan)
         rate = swivel.rate[self.motion_of_target] * DEG_PER_RAD
-        return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-_DECIMALS), np.nan))
+        return np.asarray(np.where(rate < _FASTEST_TURN, np.maximum(rate, 10.0**-NUMBER_DECIMALS), np.nan))
 
     def text_and_lines(
         self, head: Sequence[str], print_lines: Callable[[int, Ints], bytes], end: Sequence[str]
@@ -310,12 +303,3 @@ def no_lines_comment(event: Event) -> str:
     """
     value = "" if event.kind in _WITHOUT_VALUE else f" {number_text(event.value)}"
     return f"{event.kind}{value}: no lines for it in the cell"
-
-
-def number_text(value: float) -> str:
-    """Return a number as text in fixed-point notation, rounded to six decimals, without trailing zeros.
-
-    >>> number_text(12.5), number_text(-0.0), number_text(3.0)
-    ('12.5', '0', '3')
-    """
-    return decimal_text(value, _DECIMALS).rstrip("0").rstrip(".")

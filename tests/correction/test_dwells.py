@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from postproc import correction, forces, toolpath
 from tests.dialects import krl_programs, rapid_reading
@@ -53,6 +54,19 @@ def test_a_corrected_tool_waits_at_the_nominal_place(text, lines):
     for wait in waits.tolist():
         following = text_lines[int(result.output_line[wait]) :][:1]
         assert following in (["WAIT SEC 1"], ["WAIT SEC 0.5"], ["HALT"])
+
+
+@pytest.mark.parametrize("line", ["WAIT SEC 3.0", "WAIT FOR $IN[5]", "halt", "WAIT SEC 0", "$OUT[1]=TRUE"])
+@pytest.mark.parametrize("word", ["M111", "M3 S9000"])
+def test_waits_in_lines_of_the_cell_count_too(word, line):
+    lines = ["$OUT[2]=TRUE", line]
+    cell = replace(CELL, m_codes={"M111": lines}, gcode=replace(CELL.gcode, spindle_on=lines))
+    result = setting.process_text(HEAD + f"G1 Z0 F300\n{word}\nG1 Y20\nG0 Z60\n", cell)
+    assert not result.failed, result.issues
+    end = np.flatnonzero((result.source_line == 6) & (result.t == 1.0))
+    is_wait = line not in ("WAIT SEC 0", "$OUT[1]=TRUE")
+    assert (distances(result)[end] < 2e-4) == is_wait
+    assert bool(issues_of(result, "force-released")) == is_wait
 
 
 @pytest.mark.parametrize(
@@ -147,6 +161,25 @@ def test_a_spline_piece_keeps_its_force_to_the_end_and_a_wait_behind_it_is_warne
     (issue,) = issues_of(result, "dwell-in-material")
     beyond = distances(result)[(result.t == 1.0) & np.isin(result.source_line, issue.lines or (issue.source_line,))]
     assert f"cuts up to {beyond.max():.2f} mm beyond the nominal one" in issue.message
+    assert "End the spline before" in issue.message
+
+
+def test_a_wait_in_one_of_two_branches_is_warned_of_with_what_to_do():
+    corner = "LIN {X 70,Y 40,Z 0,A 180,B 0,C 180}"
+    lines = ["LIN {X 50,Y 0,Z 0,A 180,B 0,C 180}", ";FORCE FX=-110 FY=-190 FZ=330", "IF $IN[1] THEN", corner]
+    ends = [*lines, "WAIT SEC 1", "ELSE", "LIN {X 60,Y 9,Z 0,A 180,B 0,C 180}", corner]
+    for waits_in_both in (False, True):
+        last = "LIN {X 70,Y 40,Z 90,A 180,B 0,C 180}"
+        text = body(*ends, *(["WAIT SEC 1"] if waits_in_both else []), "ENDIF", ";FORCE OFF", last)
+        program, model = setting.read_with_robot(text, krl_programs.CELL, "krl")
+        result = correction.process(program, model, krl_programs.CELL, None)
+        assert not result.failed, result.issues
+        warnings = issues_of(result, "dwell-in-material")
+        assert ["Wait in all of them" in issue.message for issue in warnings] == [True][waits_in_both:]
+        branch_ends = np.isin(
+            result.source_line, [index for index, line in enumerate(text.splitlines(), 1) if line == corner]
+        )
+        assert (distances(result)[branch_ends & (result.t == 1.0)] < 2e-4).all() == waits_in_both
 
 
 def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():

@@ -25,6 +25,7 @@ from postproc.dialects.apt.course import ARC, RAPID, Course, Fault, Part
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
 from postproc.dialects.apt.walk import execute
+from postproc.dialects.cell_lines import with_waits
 from postproc.dialects.circles import ArcColumns
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
@@ -97,7 +98,7 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         bases=base[None],
         tools=tools,
         notes=_notes_before_motions(notes, motions),
-        events=tuple(_events(course, comments, source, motion_moves, motions)),
+        events=tuple(with_waits(_events(course, comments, source, motion_moves, motions), cell)),
         unforced=np.zeros(int(course.begins_at_start), dtype=np.int64),
         still=distinct(source.line[np.delete(moves.row, motion_moves)]),
         issues=tuple(_issues(course, source, moves, motion_moves)),

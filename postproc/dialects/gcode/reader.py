@@ -40,6 +40,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.dialects.cell_lines import with_waits
 from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
@@ -189,7 +190,7 @@ def _executed_program(
         bases=cell.base.pose()[None],
         tools=np.stack(list(tools.values())),
         notes=notes,
-        events=events,
+        events=tuple(with_waits(events, cell)),
         swivel=path.swivel,
         unforced=path.unforced,
         still=distinct(run.main_line[path.still_rows]),

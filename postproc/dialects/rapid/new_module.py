@@ -19,10 +19,10 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.decimals import Number, Part, lines, without_negative_zero
+from postproc.decimals import Number, Part, lines, number_text, without_negative_zero
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import text_in_rows
-from postproc.dialects.new_program import NewProgram, Words, check_name, number_text
+from postproc.dialects.new_program import NewProgram, Words, check_name
 from postproc.dialects.rapid import language
 from postproc.dialects.rapid.language import (
     BEGIN,

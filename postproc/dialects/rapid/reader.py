@@ -613,7 +613,9 @@ class _Reader:
         for routine in routines:
             first_move = next(filter(_is_move, all_statements(routine.body)), None)
             if first_move is not None and routine.name not in expanded_program.executed.followed_names:
-                message = f"{routine.kind} {routine.name} has moves but is not called; they are left as they are."
+                message = (
+                    f"{routine.kind} {routine.name} is not run by what is corrected: its moves are left as they are."
+                )
                 line = int(self._file_lines(expanded_program, np.array([first_move.start]))[0])
                 yield Issue("warning", "uncalled-motions", message, line, subject=routine.name)
 

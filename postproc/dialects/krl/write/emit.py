@@ -19,7 +19,7 @@ from pathlib import PurePath
 import numpy as np
 
 from postproc.cell import Cell
-from postproc.decimals import Number, Part, lines, without_negative_zero, without_trailing_zeros
+from postproc.decimals import Number, Part, lines, number_text, without_negative_zero, without_trailing_zeros
 from postproc.dialects import force_comments
 from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.krl.language.names import fault_of, valid_name
@@ -29,7 +29,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement
 from postproc.dialects.krl.write.target_numbers import DECIMALS, fixed_point
 from postproc.dialects.krl.write.target_statements import aggregate_text
-from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name, number_text
+from postproc.dialects.new_program import LINE_END, NewProgram, Words, check_name
 from postproc.errors import Issue, group_issues
 from postproc.frames import DEG_PER_RAD, MM_PER_M, Array, xyzabc_from_pose
 from postproc.program import CIRC, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram, constant

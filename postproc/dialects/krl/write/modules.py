@@ -25,9 +25,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell
+from postproc.decimals import number_text
 from postproc.dialects.krl.language.names import MAX_LENGTH
 from postproc.dialects.krl.write.emit import ANGLE_DECIMALS, Emitter, axis_motion, calls_program, emit
-from postproc.dialects.new_program import LINE_END, no_lines_comment, number_text
+from postproc.dialects.new_program import LINE_END, no_lines_comment
 from postproc.errors import Issue, ProgramError
 from postproc.frames import DEG_PER_RAD, Array, norm
 from postproc.program import (

@@ -25,6 +25,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.chunks import chunks
+from postproc.decimals import number_text
 from postproc.dialects.force_comments import needs_comment, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
@@ -45,7 +46,6 @@ from postproc.dialects.krl.write.target_statements import (
     replaced_numbers,
 )
 from postproc.dialects.krl.write.trigger_places import PlacedTriggers, place_triggers
-from postproc.dialects.new_program import number_text
 from postproc.errors import Issue, ProgramError, group_issues
 from postproc.frames import Array
 from postproc.program import CIRC, LIN, PTP, Bools, Document, Ints, Program, TargetForces, Targets, WrittenProgram
