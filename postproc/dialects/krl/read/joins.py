@@ -18,7 +18,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import depends_on_start
 from postproc.errors import Issue, ProgramError
 from postproc.frames import MM_PER_M, Array, inverse
-from postproc.program import PTP, SPL, Carriage, ForceNote, FrameColumns, Ints, Motions, Starts
+from postproc.program import PTP, SPL, Carriage, ForceNote, FrameColumns, Ints, Motions, Starts, distinct
 
 _POSE_TOLERANCE = 1e-6
 """Poses that differ by less [m, rad] count as equal."""
@@ -334,7 +334,7 @@ def motions_before(
     """
     steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
     other_rows, kept_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, kept_lines))
-    all_rows = np.unique(np.concatenate([line, other_rows, kept_rows]))
+    all_rows = distinct(np.concatenate([line, other_rows, kept_rows]))
     # with all joins unchecked, the end of each branch is kept, not one that stands for all
     joins = frozenset(step for step in steps if isinstance(step, Join))
     previous_rows = _branch_flow(steps, all_rows, joins).previous_motions
