@@ -302,7 +302,9 @@ def compare(nominal, corrected) -> None:
                 raise Wrong(f"motion {k}: frames")
             ends_free = motion.waits and not wrench(here).any()  # nothing is fed while the program waits
             is_end = here.name == "movej" or ends_free or np.abs(wrench(here) - wrench(motion)).max() <= 2e-3
-            if not is_end and "TOOL" not in here.force and not _is_between(wrench(here), before, wrench(motion)):
+            changes = [(before, wrench(motion)), (wrench(motion), 0.0 * before if motion.waits else wrench(motion))]
+            on_the_way = any(_is_between(wrench(here), *change) for change in changes)
+            if not is_end and "TOOL" not in here.force and not on_the_way:
                 raise Wrong(f"motion {k}: force {here.force!r} instead of {motion.force!r}")
             pose = here.pose.copy()
             pose[:3, 3] /= 1e3
