@@ -223,6 +223,14 @@ def every_run(files, main="PART"):
         choices = choices.following()
 
 
+def is_wait_in_place(motion, following):
+    """Whether a program waits behind a line to the place where the motion before ends."""
+    if motion.numbers is None or following.numbers is None or following.kind != "LIN" or not following.waits:
+        return False
+    poses = [frame.base @ abc(*frame.numbers) for frame in (motion, following)]
+    return bool(np.allclose(*poses, atol=1e-9))
+
+
 def job_of(seed, rng, *, keep):
     """The job of a seed; those from a million on have jumps too, and from ten million on jobs that are chosen."""
     unknown, forces = bool(rng.random() < 0.6), bool(rng.random() < 0.85)
@@ -271,7 +279,13 @@ def prove(seed, folder):
             kept.add(("part.src", issue.source_line))
     main = "PARTMAIN" if "partMain.src" in new else "PART"
     texts = statements(job.files), statements(new)
-    waiting = {(motion.file, motion.line) for nominal, _ in runs for motion in nominal if motion.waits}
+    # a motion that goes nowhere cannot take the force away: the one before it ends without
+    waiting = {
+        (motion.file, motion.line)
+        for nominal, _ in runs
+        for index, motion in enumerate(nominal)
+        if motion.waits or (index + 1 < len(nominal) and is_wait_in_place(motion, nominal[index + 1]))
+    }
     warned = any(issue.kind == "dwell-in-material" for issue in result.issues)
     for nominal, decided in runs:
         inputs = Choices(decided, most=99)

@@ -15,6 +15,7 @@ import re
 import time
 from collections import Counter
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from msgspec.structs import replace
@@ -285,6 +286,10 @@ def compare(nominal, corrected) -> None:
     guess = np.array(cell.start_joints)
     todo = iter(corrected)
     flange, before = None, np.zeros(6)
+    for motion, following in reversed(list(pairwise(nominal))):
+        # a move that goes nowhere cannot take the force away: the one before it ends without
+        is_short = following.pose is not None and motion.pose is not None and np.allclose(following.pose, motion.pose)
+        motion.waits |= following.waits and following.name != "movej" and is_short
     for k, motion in enumerate(nominal):
         if motion.pose is None:
             here = next(todo, None)
