@@ -463,7 +463,8 @@ SWITCHED_OFF: dict[EventKind, EventKind] = {
 class Event(Struct, frozen=True):
     """What a program does besides moving, in order; of G-code it becomes lines of KRL.
 
-    Of KRL comments and waits are known, first all comments; of RAPID waits.
+    Of KRL comments and waits are known, first all comments; of RAPID waits. A wait of KRL is one event for each motion
+    at whose end the program may wait there.
 
     :param before: row of the motion before which it takes place (number of motions = after the last).
     :param kind: see `EventKind`; ``dwell`` is G4, ``stop`` M0/M1, ``m_code`` one of `[m_codes]`.

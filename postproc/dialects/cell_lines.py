@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 
 from msgspec.structs import replace
 
 from postproc.cell import Cell
 from postproc.decimals import number_text
+from postproc.dialects.waits import is_wait
 from postproc.program import Event
-
-_WAIT = re.compile(
-    r"[ \t]*(?:WAIT[ \t]+(?:SEC|FOR)|HALT|WAIT(?:AI|D[IO]|GI|SYNCTASK|TESTANDSET|TIME|UNTIL)|STOP|BREAK)\b"
-    r"(?P<time>[^;]*)",
-    re.IGNORECASE,
-)
-"""Statements of KRL and RAPID at which the robot waits, and the time or condition behind the instruction."""
 
 
 def lines_of(event: Event, cell: Cell) -> list[str]:
@@ -37,17 +30,4 @@ def with_waits(events: Iterable[Event], cell: Cell) -> Iterator[Event]:
     """
     for event in events:
         is_switched = event.kind not in ("dwell", "stop", "comment")
-        yield replace(event, waits=True) if is_switched and any(map(_waits, lines_of(event, cell))) else event
-
-
-def _waits(line: str) -> bool:
-    """Return whether the robot waits in a line of the cell; a time of 0 only stops the advance run.
-
-    >>> [_waits(line) for line in ("WAIT SEC 3.0 ; spindle", "wait sec 0", "WaitTime 0.5;", "$OUT[1]=TRUE")]
-    [True, False, True, False]
-    """
-    match = _WAIT.match(line)
-    try:
-        return match is not None and float(match["time"]) != 0.0
-    except ValueError:
-        return True  # no number: a condition, or none
+        yield replace(event, waits=True) if is_switched and any(map(is_wait, lines_of(event, cell))) else event

@@ -797,8 +797,10 @@ def removed_programs_note(jobs: Iterable[Job], mode: Mode) -> str:
     for report in sorted(
         path for folder in {job.output for job in folder_jobs} for path in folder.glob("*.report.json")
     ):
+        if (report.parent, report.name) in report_names:
+            continue
         program = recorded_text(report, "program")
-        if (report.parent, report.name) in report_names or any((folder / program).exists() for folder in sources):
+        if any((folder / program).exists() for folder in sources):
             continue
         stem = report.name.removesuffix(".report.json").lower()
         removed += [

@@ -235,6 +235,10 @@ def test_names_that_the_module_does_not_have_are_those_of_others():
     text = module(["PROC main()", MOVE_HOME, f"MoveL {at(0, 0, 20)}{tail()}", "ENDPROC"])
     assert len(read(text, "top", "side").motions) == 2
     assert len(read(MENU, "top", "elsewhere").motions) == len(read(MENU, "top").motions)
+    (message,) = [
+        issue.message for issue in read(MENU, "top", "elsewhere", "side").issues if issue.kind == "procedures"
+    ]
+    assert message.endswith("from [start]: top, side.")
 
 
 def proc(name, *lines):

@@ -34,7 +34,6 @@ from postproc.dialects.rapid.instructions import (
     STOPPING,
     is_unfollowed_motion,
 )
-from postproc.dialects.rapid.language import WAITING
 from postproc.dialects.rapid.loaded import LoadedModules, name_clash, named_like_rapid
 from postproc.dialects.rapid.moves import Move, Setting, are_equal, stated_move
 from postproc.dialects.rapid.syntax import (
@@ -67,6 +66,7 @@ from postproc.dialects.rapid.values import (
     predefined_data,
     truth,
 )
+from postproc.dialects.waits import RAPID_WAITS
 from postproc.errors import MAX_ERRORS, PostprocError, first_of
 from postproc.program import FORCE_COMMENT, PTP
 
@@ -526,7 +526,7 @@ class Execution:
 
     def _note_wait(self, statement: Instruction, scope: Scope) -> None:
         """Add an instruction at which the robot waits to the waits."""
-        if statement.name in WAITING and not _takes_no_time(statement, scope):
+        if statement.name in RAPID_WAITS and not _takes_no_time(statement, scope):
             self.result.waits.append((statement.start, len(self.result.moves)))
 
     def _leave(self, routine: Routine, scope: Scope, reason: str) -> NoReturn:

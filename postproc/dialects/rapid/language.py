@@ -46,13 +46,6 @@ HARMLESS = frozenset(
     }
 )  # fmt: skip
 """Instructions that neither move the robot nor change the meaning of moves."""
-WAITING = frozenset(
-    {
-        "BREAK", "STOP", "TPREADFK", "TPREADNUM", "UIMSGBOX", "WAITAI", "WAITDI", "WAITDO", "WAITGI", "WAITSYNCTASK",
-        "WAITTESTANDSET", "WAITTIME", "WAITUNTIL",
-    }
-)  # fmt: skip
-"""Instructions at which the robot stands; WaitRob only waits until it does."""
 MOVING = re.compile(
     "MOVE|TRIGG|SEARCH|STARTMOVE|STOPMOVE|CLEARPATH|RESTOPATH|STOREPATH|IND[ACDR]|CONF[JL]|CIRPATH|SINGAREA|PDISP|EOFFS|"
     "SOFT|CORR|ACCSET|VELSET|PATHACC|GRIPLOAD|MECHUNITLOAD|WORLDACC"

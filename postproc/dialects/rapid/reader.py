@@ -580,7 +580,8 @@ class _Reader:
             )
             yield Issue("info", "endless-loop", message, self._loop_line(expanded_program, execution.endless_loop))
         if execution.begins:
-            names = first_of(self.cell.rapid.procedures, _MOST_NAMES)
+            procedures = [name for name in self.cell.rapid.procedures if name.upper() in execution.followed_names]
+            names = first_of(procedures, _MOST_NAMES)
             message = f"Procedures that the cell names are corrected, each as a run of its own from [start]: {names}."
             yield Issue("info", "procedures", message)
         if expanded_program.loop_lines:
@@ -608,7 +609,7 @@ class _Reader:
         return changed_data_issue(change_places, line, is_certain=changed_data.is_certain)
 
     def _uncalled_issues(self, expanded_program: ExpandedProgram) -> Iterator[Issue]:
-        """Yield a warning for each routine that moves and is not called."""
+        """Yield a warning for each routine that moves and is not followed."""
         routines = [routine for module in expanded_program.modules for routine in module.routines]
         for routine in routines:
             first_move = next(filter(_is_move, all_statements(routine.body)), None)

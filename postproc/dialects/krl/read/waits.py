@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterable
 
 import numpy as np
@@ -11,10 +10,8 @@ import numpy as np
 from postproc.dialects.krl.course import Course
 from postproc.dialects.krl.language.routines import Routine
 from postproc.dialects.krl.language.source import Source
+from postproc.dialects.waits import krl_wait_time
 
-_WAIT = re.compile(
-    r"WAIT[ \t]+SEC\b(?P<time>.*)|WAIT[ \t]+FOR\b[ \t(]*(?P<is_true>TRUE[ \t)]*\Z)?|HALT\b", re.IGNORECASE
-)
 _FIRST_CHARACTERS = frozenset("WwHh \t")
 """A line that waits begins with one of these: the word, or blanks before it."""
 
@@ -44,16 +41,7 @@ def waits(course: Course, routines: Iterable[Routine], waiting_calls: Iterable[i
 
 
 def wait_time(source: Source, line: int) -> float:
-    """Return how long a line with code waits [s]: NaN if the time is an expression, or depends on a condition.
-
-    0 if it does not wait; ``WAIT SEC 0`` and ``WAIT FOR TRUE`` only stop the advance run.
-    """
+    """Return how long a line with code waits [s], see `waits.krl_wait_time`."""
     if source.text[source.starts.item(line - 1)] not in _FIRST_CHARACTERS:
         return 0.0  # decides most lines
-    match = _WAIT.match(source.text, *source.code_span(line))
-    if match is None or match["is_true"]:
-        return 0.0
-    try:
-        return float(match["time"] or math.nan)
-    except ValueError:
-        return math.nan
+    return krl_wait_time(source.text[slice(*source.code_span(line))])

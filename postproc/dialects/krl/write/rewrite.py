@@ -478,16 +478,17 @@ class _Rewriter:
             return []
         end_target = np.full(len(self.program.motions) + 1, -1)
         end_target[motion[self.is_last]] = np.flatnonzero(self.is_last)
-        rows = np.flatnonzero((np.diff(note, prepend=-1) != 0) & (np.diff(motion, prepend=-1) != 0) & (note >= 0))
+        is_restated = np.array([*(comment.is_restated for comment in notes), False])  # −1, no note, is the last
+        rows = np.flatnonzero((np.diff(note, prepend=-1) != 0) & (np.diff(motion, prepend=-1) != 0) & is_restated[note])
         targets = []
         for target in rows.tolist():
             previous = after.item(motion[target])
             while previous >= 0 and self.program.motions.kind[previous] == PTP:  # carries no force, and ends none
                 previous = after.item(previous) if after.item(previous) < previous else -1
             end = int(end_target[previous])
-            if notes[note[target]].is_restated and end >= 0 and note[end] >= 0 and any(notes[note[end]].wrench):
-                released = not self.comment_forces.wrench[end : end + 1].any()
-                targets += [target] if released else []
+            has_force = end >= 0 and note[end] >= 0 and any(notes[note[end]].wrench)
+            if has_force and not self.comment_forces.wrench[end : end + 1].any():
+                targets.append(target)
         return targets
 
     def _replace_comment(self, target: int, text: str) -> bool:
