@@ -29,8 +29,8 @@ from msgspec.structs import replace
 
 from postproc.cell import Frame, Krl, Tool
 from postproc.dialects import krl
-from postproc.dialects.krl.course import Fork, RoutineEntry
 from postproc.dialects.krl.dialect import KRL
+from postproc.dialects.krl.execution import Fork, RoutineEntry
 from postproc.dialects.krl.read import flow
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
@@ -139,13 +139,15 @@ def executed(files, seed, program, main="PART", initmov="cell"):
     frames = abc(base.X, base.Y, base.Z), abc(tool.X, tool.Y, tool.Z)
     controller = Controller(named, rng, *frames, data, given=GIVEN, side=seed % 2, initmov=stated(initmov))
     motions = controller.run(main)
-    course = program.layout.course
-    origins = [(course.trace.place(each.row), each.routine) for each in course.steps if isinstance(each, RoutineEntry)]
+    execution = program.layout.execution
+    origins = [
+        (execution.trace.place(each.row), each.routine) for each in execution.steps if isinstance(each, RoutineEntry)
+    ]
     followed = {(at.source.document.name, at.line, routine.name.upper()) for at, routine in origins}
     reported = {("part.src", issue.source_line) for issue in program.issues if issue.kind == "motions-elsewhere"}
     stay = {(one.file, one.line) for one in program.unresolved}
     first, second = ([shown(one) for one in motions if not stays(one, stay)] for motions in controller.rounds)
-    if first != second and program.layout.course.endless_loop:
+    if first != second and program.layout.execution.endless_loop:
         raise Wrong("the rounds of a LOOP without EXIT differ")
     made, elsewhere, begins_uncorrected = [], set(), False
     for motion in motions:
@@ -223,7 +225,7 @@ def compare(program, motions, numbers, joints, kinds, tolerance, lines=None):
 
 def branching(program):
     """Whether a program has branches that are chosen at run time."""
-    return any(isinstance(step, Fork) for step in program.layout.course.steps)
+    return any(isinstance(step, Fork) for step in program.layout.execution.steps)
 
 
 def difference(program, row, motion, numbers, joints, kinds, tolerance, lines):

@@ -637,7 +637,7 @@ def test_a_counter_that_the_program_sets_first_needs_no_second_run(monkeypatch):
     def followed(*_):
         raise AssertionError
 
-    monkeypatch.setattr(next_run, "course_of", followed)
+    monkeypatch.setattr(next_run, "execution_of", followed)
     loop = ["FOR I=1 TO 2", "LIN P[I]", "ENDFOR"]
     assert len(read_lines(*loop, "I=7").motions) == 2
     assert len(read_lines("LIN XP1", "I=I+1", "IF $IN[1] THEN", "I=I-1", "ENDIF").motions) == 1  # it decides on nothing

@@ -16,13 +16,13 @@ from tests.attack.krl_snippets import Snippets
 from tests.attack.krl_states import States
 from tests.benchmarks.krl_bodies import BODIES, corrected_targets, files, read_texts
 
-_COURSE = main_routine._course
+_EXECUTION = main_routine._execution
 
 
 def in_two_runs(start, *, collects):
     """The trace alone, so that the statements run once more."""
-    course, _ = _COURSE(start, collects=collects)
-    return course, None
+    execution, _ = _EXECUTION(start, collects=collects)
+    return execution, None
 
 
 def outcome(read_program, write):
@@ -48,13 +48,13 @@ def both(read_program, write):
     is_single = []
 
     def counted(start, *, collects):
-        course, collected = _COURSE(start, collects=collects)
+        execution, collected = _EXECUTION(start, collects=collects)
         is_single.append(collected is not None)
-        return course, collected
+        return execution, collected
 
-    with patch.object(main_routine, "_course", counted):
+    with patch.object(main_routine, "_execution", counted):
         single = outcome(read_program, write)
-    with patch.object(main_routine, "_course", in_two_runs):
+    with patch.object(main_routine, "_execution", in_two_runs):
         return single, outcome(read_program, write), is_single[:1] == [True]
 
 

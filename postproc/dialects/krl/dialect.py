@@ -133,7 +133,7 @@ class _Writer:
     ) -> WrittenProgram:
         """Return a KRL program with corrected targets; its own files may be divided, files of subprograms are not."""
         limit = cell.output.lines_per_file
-        called_names = {document.name for document in layout.course.files}
+        called_names = {document.name for document in layout.execution.files}
         rewritten = write.rewrite(program, targets, comments)
         own_documents, called_documents = (
             tuple(document for document in rewritten.documents if (document.name in called_names) == is_called)
@@ -144,7 +144,7 @@ class _Writer:
             [document for document in program.documents if document.name not in called_names],
             replace(rewritten, documents=own_documents),
             limit,
-            layout.course.used_names,
+            layout.execution.used_names,
             layout.resume_place,
         )
         issues = [
@@ -281,7 +281,7 @@ def _read_joined(
         raise whole_program.error_in_file(cause) from None
     layout = program.layout
     if isinstance(layout, Layout):
-        called_files = layout.course.files
+        called_files = layout.execution.files
         called_names = {document.name for document in called_files}
         documents = [*(document for document in documents if document.name not in called_names), *called_files]
         layout = replace(layout, documents=(*whole_program.documents, *called_files), files=whole_program.files)

@@ -9,7 +9,7 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
-from postproc.dialects.krl.course import Course
+from postproc.dialects.krl.execution import Execution
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.source import Source
 from postproc.frames import Array
@@ -38,7 +38,7 @@ class Elements(Struct, frozen=True, eq=False):
 class Layout(Struct, frozen=True, eq=False):
     """The text of M motions. Offsets count characters from the beginning of the file of a motion, see `source`.
 
-    :param course: the program in the order in which it runs.
+    :param execution: the program in the order in which it runs.
     :param line: (M,) 1-based rows of the trace.
     :param notes: rows of the trace with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
@@ -78,7 +78,7 @@ class Layout(Struct, frozen=True, eq=False):
         text; empty for a program in one file.
     """
 
-    course: Course
+    execution: Execution
     line: Ints
     notes: tuple[int, ...]
     numbers: Array
@@ -128,7 +128,7 @@ class Layout(Struct, frozen=True, eq=False):
 
         :param rows: (n,) the motions.
         """
-        trace = self.course.trace
+        trace = self.execution.trace
         if trace.is_file and not self.files:
             return None
         names = tuple(source.document.name for source in trace.sources)
@@ -144,7 +144,7 @@ class Layout(Struct, frozen=True, eq=False):
 
     def source(self, row: int) -> Source:
         """Return the file that contains motion `row`."""
-        return self.course.trace.source(self.line.item(row))
+        return self.execution.trace.source(self.line.item(row))
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
         """Return `$ORI_TYPE` (n,) of motions `rows` (n,)."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join, UnresolvedStructure
+from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, UnresolvedStructure
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.tokens import FORCE
 from postproc.dialects.krl.language.trace import Trace
@@ -35,7 +35,7 @@ def force_comment_lines(source: Source) -> tuple[int, ...]:
 
 
 def force_notes(
-    course: Course,
+    execution: Execution,
     motions: Ints,
     is_rapid: Bools,
     unknown_reasons: Mapping[int, str],
@@ -52,13 +52,13 @@ def force_notes(
     :raises ProgramError: the force on a motion is not known.
     :raises ForceError: a comment cannot be read.
     """
-    trace = course.trace
-    lines, comments = _force_comments(course)
-    if course.may_run is not None:  # leave out comments on rows that do not run
-        is_run = course.may_run[lines - 1]
+    trace = execution.trace
+    lines, comments = _force_comments(execution)
+    if execution.may_run is not None:  # leave out comments on rows that do not run
+        is_run = execution.may_run[lines - 1]
         lines, comments = lines[is_run], comments[is_run]
     unknown_reasons = dict(unknown_reasons)
-    for step in course.steps:
+    for step in execution.steps:
         if isinstance(step, UnresolvedStructure):
             in_step = (lines >= step.first) & (lines <= step.last)
             if in_step.any():
@@ -66,10 +66,10 @@ def force_notes(
                 unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({place})"
                 lines, comments = lines[~in_step], comments[~in_step]
     notes = list(_parsed_notes(trace, motions, lines, comments))
-    marks = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    marks = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     if not marks and not unknown_reasons:
         return notes
-    return _ActiveForce(course, motions, is_rapid, unchecked_joins).restated_notes(notes, unknown_reasons, marks)
+    return _ActiveForce(execution, motions, is_rapid, unchecked_joins).restated_notes(notes, unknown_reasons, marks)
 
 
 def _parsed_notes(
@@ -109,15 +109,20 @@ class _ActiveForce:
     :ivar passed_line: last line of the trace whose motions have been passed.
     """
 
-    def __init__(self, course: Course, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
+    def __init__(self, execution: Execution, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
         """Begin before the first line, without a force.
 
-        :param course: the execution trace.
+        :param execution: the execution trace.
         :param motions: (M,) lines of the motions in the trace.
         :param is_rapid: (M,) True for motions that carry no force.
         :param unchecked_joins: joins at which branches may end in different poses.
         """
-        self.course, self.motions, self.is_rapid, self.unchecked_joins = course, motions, is_rapid, unchecked_joins
+        self.execution, self.motions, self.is_rapid, self.unchecked_joins = (
+            execution,
+            motions,
+            is_rapid,
+            unchecked_joins,
+        )
         self.notes: list[tuple[int, ForceNote]] = []
         # None: no force; a text: the reason why the force is not known
         self.active_force: _Force = None
@@ -166,7 +171,7 @@ class _ActiveForce:
                 if not event.is_exhaustive:
                     end_forces.append(entry)
                 self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
-        self._pass_motions(len(self.course.trace))
+        self._pass_motions(len(self.execution.trace))
         return self.notes
 
     def _pass_join(self, line: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
@@ -184,7 +189,7 @@ class _ActiveForce:
             _certainly_differ(force, motion_forces[0]) or _turns_with_path(*force) for force in motion_forces
         ):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
-            raise self.course.trace.error(problem, line, _JOIN_ADVICE)
+            raise self.execution.trace.error(problem, line, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:
@@ -204,7 +209,7 @@ class _ActiveForce:
         if isinstance(force, str) or (force is None and not self.notes):
             return
         wrench, frame = _wrench_and_frame(force)
-        origin = self.course.trace.place(line).line
+        origin = self.execution.trace.place(line).line
         motion = int(np.searchsorted(self.motions, line))
         self.notes.append((line, ForceNote(origin, wrench, frame, motion, is_restated=True)))
 
@@ -221,7 +226,7 @@ class _ActiveForce:
         loaded_rows = first + np.flatnonzero(~self.is_rapid[first:stop])
         if isinstance(self.active_force, str) and len(loaded_rows):
             problem = f"which force acts is not known: {self.active_force}"
-            raise self.course.trace.error(problem, int(self.motions[loaded_rows[0]]), _FORCE_ADVICE)
+            raise self.execution.trace.error(problem, int(self.motions[loaded_rows[0]]), _FORCE_ADVICE)
         self.motion_force = None if self.is_rapid[stop - 1] else self.active_force
 
 
@@ -255,14 +260,14 @@ def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:
     return ((0.0,) * 6, "BASE") if force is None else (force, "")
 
 
-def _force_comments(course: Course) -> tuple[Ints, NDArray[np.object_]]:
+def _force_comments(execution: Execution) -> tuple[Ints, NDArray[np.object_]]:
     """Return the rows (n,) of a trace that have a force comment, in order, and the texts (n,) behind the semicolons."""
     rows, texts = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.object_)]
-    for source in course.trace.sources:
+    for source in execution.trace.sources:
         offsets, lines = _force_comment_offsets(source)
         stops = source.stops[lines - 1].tolist()
         comments = [source.text[offset + 1 : stop] for offset, stop in zip(offsets.tolist(), stops, strict=True)]
-        rows_of_file, index = course.rows_of(source, lines)  # a line has as many rows as times that it runs
+        rows_of_file, index = execution.rows_of(source, lines)  # a line has as many rows as times that it runs
         rows.append(rows_of_file)
         texts.append(np.array(comments, dtype=np.object_)[index])
     all_rows = np.concatenate(rows)
@@ -294,7 +299,7 @@ _MAX_COMMENTS = 2000
 """Of more comments than this none names an operation."""
 
 
-def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
+def remarks(execution: Execution, motions: Ints) -> tuple[Event, ...]:
     """Return the comments that may name an operation, in execution order, each as an event at the next motion.
 
     Comments behind code, about forces, and those that KUKA's editor or postproc writes are left out.
@@ -303,9 +308,9 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
     :returns: empty if there are more than `_MAX_COMMENTS` comments.
     """
     comment_starts = []
-    for source in course.trace.sources:
+    for source in execution.trace.sources:
         starts, lines = _lines_of_comments(source)
-        rows, index = course.rows_of(source, lines)
+        rows, index = execution.rows_of(source, lines)
         comment_starts += [
             (row, source, start) for row, start in zip(rows.tolist(), starts[index].tolist(), strict=True)
         ]
@@ -316,7 +321,7 @@ def remarks(course: Course, motions: Ints) -> tuple[Event, ...]:
         comment = _COMMENT.match(source.text, start)
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
         if comment and name and not _EDITOR_COMMENT.match(comment[0].rstrip()):
-            shown_line = course.trace.shown_line(row)
+            shown_line = execution.trace.shown_line(row)
             next_motion = int(np.searchsorted(motions, row))
             events.append(Event(before=next_motion, kind="comment", line=shown_line, text=name))
     return tuple(events)

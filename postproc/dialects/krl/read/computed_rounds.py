@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from msgspec import Struct
 
-from postproc.dialects.krl.course import PlainBody, PlainRounds
+from postproc.dialects.krl.execution import PlainBody, PlainRounds
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import CIRCLES
 from postproc.dialects.krl.language.parser import statement

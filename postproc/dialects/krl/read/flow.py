@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, UnrolledLoop
+from postproc.dialects.krl.execution import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, UnrolledLoop
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement

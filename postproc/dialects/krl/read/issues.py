@@ -92,13 +92,13 @@ def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
 def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
     """Yield a warning if motions of the main routine never run because of its RETURN."""
     routine, source, end = main.run.routine, main.run.routine.source, main.run.level.return_line
-    if not end or main.course.may_run is None or not isinstance(statement(source, end), Return):
+    if not end or main.execution.may_run is None or not isinstance(statement(source, end), Return):
         return
     motion_lines = [line for line in routine.other_lines if line > end and isinstance(statement(source, line), Motion)]
     lines = np.sort([*routine.motion_lines[routine.motion_lines > end].tolist(), *motion_lines]).astype(np.int64)
-    rows, index = main.course.rows_of(source, lines)
+    rows, index = main.execution.rows_of(source, lines)
     # without lines that run all the same: the RETURN is in a loop
-    lines = np.delete(lines, index[main.course.may_run[rows - 1]])
+    lines = np.delete(lines, index[main.execution.may_run[rows - 1]])
     if len(lines):
         message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))

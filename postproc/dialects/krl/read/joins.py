@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.course import Branch, Course, Fork, Join, Occasion, UnrolledLoop
+from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, Occasion, UnrolledLoop
 from postproc.dialects.krl.layout import CONSTANT, Layout
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
@@ -70,12 +70,12 @@ class JoinedEnds(NamedTuple):
     ends: tuple[int, ...]
 
 
-def joins_before_joint_targets(course: Course, sequence: OrderedMotions) -> frozenset[Join]:
+def joins_before_joint_targets(execution: Execution, sequence: OrderedMotions) -> frozenset[Join]:
     """Return the joins after which every motion that may run next is a PTP to joint angles.
 
     Branches may end in different poses there. A join that no motion can follow is returned, too.
     """
-    successors = _Successors(course, sequence)
+    successors = _Successors(execution, sequence)
     joins = [(number, step) for number, step in enumerate(successors.steps) if isinstance(step, Join)]
     return frozenset(join for number, join in joins if successors.leads_to_joints(number))
 
@@ -83,10 +83,10 @@ def joins_before_joint_targets(course: Course, sequence: OrderedMotions) -> froz
 class _Successors:
     """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
-    def __init__(self, course: Course, sequence: OrderedMotions) -> None:
+    def __init__(self, execution: Execution, sequence: OrderedMotions) -> None:
         """Find the forks, branches and joins of an execution trace, and store them in `steps`."""
-        self.steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
-        self._course, self._sequence = course, sequence
+        self.steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
+        self._execution, self._sequence = execution, sequence
         self._results: dict[int, bool] = {}
 
     def leads_to_joints(self, number: int) -> bool:
@@ -150,7 +150,7 @@ class _Successors:
 
         :returns: True if the program does not end in a LOOP: nothing follows its end.
         """
-        loop, lines = self._course.endless_loop, self._sequence.rows.line
+        loop, lines = self._execution.endless_loop, self._sequence.rows.line
         if loop is None:
             return True
         row = int(np.searchsorted(lines, loop.first))  # the first motion of the loop
@@ -179,7 +179,7 @@ def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
 
 
 def predecessors_and_joins(
-    course: Course,
+    execution: Execution,
     sequence: OrderedMotions,
     predecessors: Ints | None,
     kept_lines: Sequence[int],
@@ -197,7 +197,7 @@ def predecessors_and_joins(
     :raises BranchError: an uncorrected motion is in a branch, or a motion in or after a branch depends on more than its
         start pose.
     """
-    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
     line = sequence.rows.line
@@ -207,19 +207,21 @@ def predecessors_and_joins(
         if branch_predecessors[row] != row:  # its start is known
             # all of them end in one pose, except at an unchecked join
             branch_predecessors[row] = min(motions)
-    _refuse_branches(course, _faults_in_branches(course, sequence, branch_flow.joins, kept_lines, unchecked_joins))
+    _refuse_branches(
+        execution, _faults_in_branches(execution, sequence, branch_flow.joins, kept_lines, unchecked_joins)
+    )
     # motions that do not begin at the end of the motion before them; those with an unknown start are checked elsewhere
     faults: list[_Fault] = []
     for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
         if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
             problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
             faults.append(_Fault(int(branch_flow.fork_lines[row]), problem, _START_ADVICE))
-    _refuse_branches(course, faults)
+    _refuse_branches(execution, faults)
     return branch_predecessors, [ends for join, ends in branch_flow.joins if join not in unchecked_joins]
 
 
 def _faults_in_branches(
-    course: Course,
+    execution: Execution,
     sequence: OrderedMotions,
     joins: Sequence[tuple[Join, JoinedEnds]],
     kept_lines: Sequence[int],
@@ -237,7 +239,7 @@ def _faults_in_branches(
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
             faults.append(_Fault(ends.fork, "an uncorrected motion is inside a branch"))
         elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
-            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({course.trace.place(int(line[row]))})"
+            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({execution.trace.place(int(line[row]))})"
             faults.append(_Fault(ends.fork, problem, _PTP_ADVICE))
     return faults
 
@@ -322,7 +324,7 @@ def _branch_flow(steps: Sequence[Fork | Branch | Join], line: Ints, unchecked_jo
 
 
 def motions_before(
-    course: Course, line: Ints, kept_lines: Sequence[int], rows: Iterable[int]
+    execution: Execution, line: Ints, kept_lines: Sequence[int], rows: Iterable[int]
 ) -> Iterator[tuple[int, int]]:
     """Yield for rows of the trace each motion that may be the last before: the row and the motion; −1: none is.
 
@@ -332,7 +334,7 @@ def motions_before(
     :param kept_lines: lines of uncorrected motions.
     :param rows: other rows of the trace, ascending.
     """
-    steps = [step for step in course.steps if isinstance(step, Fork | Branch | Join)]
+    steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     other_rows, kept_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, kept_lines))
     all_rows = distinct(np.concatenate([line, other_rows, kept_rows]))
     # with all joins unchecked, the end of each branch is kept, not one that stands for all
@@ -350,15 +352,15 @@ def motions_before(
         yield from ((int(all_rows[index]), motion) for motion in sorted(motions))
 
 
-def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
+def branch_spans(execution: Execution, line: Ints) -> tuple[tuple[int, int], ...]:
     """Return, for each branch with motions, its first motion and the motion after its last; see `Program.branches`.
 
-    :param course: the execution trace with its forks, branches and joins.
+    :param execution: the execution trace with its forks, branches and joins.
     :param line: (M,) lines of the trace with the motions.
     """
     spans: list[tuple[int, int]] = []
     first_motions: list[int | None] = []  # of the present branch of each open fork; None: no branch has begun
-    for step in course.steps:
+    for step in execution.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
         next_motion = int(np.searchsorted(line, step.row, side="right"))
@@ -375,7 +377,7 @@ def branch_spans(course: Course, line: Ints) -> tuple[tuple[int, int], ...]:
 
 
 def transitions(
-    course: Course, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
+    execution: Execution, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
 ) -> tuple[tuple[int, int], ...]:
     """Return pairs (motion, previous motion): further motions at whose ends a motion may begin.
 
@@ -389,7 +391,7 @@ def transitions(
     """
     previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
     branch_flow = _branch_flow(
-        [step for step in course.steps if isinstance(step, Fork | Branch | Join)], line, unchecked_joins
+        [step for step in execution.steps if isinstance(step, Fork | Branch | Join)], line, unchecked_joins
     )
     further_transitions = [
         (row, end)
@@ -399,11 +401,13 @@ def transitions(
         if end != previous_rows[row]
     ]
     if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
-        further_transitions += _round_transitions(course, line, previous_rows, branch_flow.last_motions)
+        further_transitions += _round_transitions(execution, line, previous_rows, branch_flow.last_motions)
     return tuple(dict.fromkeys(further_transitions))  # without repetitions
 
 
-def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Set[int]) -> Iterator[tuple[int, int]]:
+def _round_transitions(
+    execution: Execution, line: Ints, previous_rows: Ints, ends: Set[int]
+) -> Iterator[tuple[int, int]]:
     """Yield pairs: a motion that may begin the second round of an endless loop, and the motion that may precede it.
 
     The motions that may be the first are those that begin where the first motion of the loop begins. Nothing is yielded
@@ -413,7 +417,7 @@ def _round_transitions(course: Course, line: Ints, previous_rows: Ints, ends: Se
     :param previous_rows: (M,) the motion at whose end each begins; the motion itself if its start is not known.
     :param ends: motions that may be the last of the first round.
     """
-    if (loop := course.endless_loop) is None:
+    if (loop := execution.endless_loop) is None:
         return
     first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
     rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
@@ -445,7 +449,7 @@ class FramesAndStart(NamedTuple):
 
 
 def check_joins(
-    course: Course,
+    execution: Execution,
     joins: Sequence[JoinedEnds],
     motions: Motions,
     carriage: Carriage | None,
@@ -469,10 +473,10 @@ def check_joins(
             track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]
             if np.ptp(track_positions) > _POSE_TOLERANCE:
                 faults.append(_Fault(fork, "E1 differs between the ends of the branches"))
-    _refuse_branches(course, faults)
+    _refuse_branches(execution, faults)
 
 
-def _refuse_branches(course: Course, faults: Sequence[_Fault]) -> None:
+def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
     """Refuse the branches of some forks; the error states the first fault, and the visits to all of these forks.
 
     :raises BranchError: there are `faults`.
@@ -480,10 +484,12 @@ def _refuse_branches(course: Course, faults: Sequence[_Fault]) -> None:
     if not faults:
         return
     fork, problem, advice = faults[0]
-    base = course.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
+    base = execution.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     forks = {fault.fork for fault in faults}
-    error.occasions = frozenset(step.occasion for step in course.steps if isinstance(step, Fork) and step.row in forks)
+    error.occasions = frozenset(
+        step.occasion for step in execution.steps if isinstance(step, Fork) and step.row in forks
+    )
     raise error
 
 
@@ -549,7 +555,7 @@ class EndlessRounds(NamedTuple):
         return "in another orientation than it began"
 
 
-def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings) -> None:
+def check_endless_loop(execution: Execution, rounds: EndlessRounds, settings: Settings) -> None:
     """Refuse a LOOP without EXIT whose round ends in another pose, or with other settings, than it began.
 
     :param settings: the settings of the program, which has been followed.
@@ -559,17 +565,17 @@ def check_endless_loop(course: Course, rounds: EndlessRounds, settings: Settings
     if rounds.first == rounds.stop:  # no motions
         return
     if problem := rounds.pose_difference():
-        raise _loop_error(course, loop, f"its round ends {problem}", _LOOP_ADVICE)
+        raise _loop_error(execution, loop, f"its round ends {problem}", _LOOP_ADVICE)
     begin, end = settings_at(settings, np.array([loop.first, loop.stop]))
     has_same_frames = np.array_equal(begin.base, end.base) and np.array_equal(begin.tool, end.tool)
     if begin.state != end.state or not has_same_frames:
-        raise _loop_error(course, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
+        raise _loop_error(execution, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
 
 
-def endless_loop_issue(course: Course, loop: UnrolledLoop) -> Issue:
+def endless_loop_issue(execution: Execution, loop: UnrolledLoop) -> Issue:
     """Return the issue, of severity "info", that a LOOP has no EXIT."""
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
-    return Issue("info", "endless-loop", message, _loop_line(course, loop))
+    return Issue("info", "endless-loop", message, _loop_line(execution, loop))
 
 
 def endless_rounds(
@@ -596,7 +602,7 @@ def endless_rounds(
 
 
 def check_force(
-    course: Course, loop: UnrolledLoop, line: Ints, kind: Ints, notes: Sequence[tuple[int, ForceNote]]
+    execution: Execution, loop: UnrolledLoop, line: Ints, kind: Ints, notes: Sequence[tuple[int, ForceNote]]
 ) -> None:
     """Refuse a LOOP without EXIT whose first motion other than PTP has another force in the second iteration.
 
@@ -611,7 +617,7 @@ def check_force(
     if not len(lines_with_force) or any(loop.first <= note_line <= lines_with_force[0] for note_line, _ in notes):
         return
     if _acting_force(notes, loop.first) != _acting_force(notes, loop.stop):  # before the first and the second round
-        raise _loop_error(course, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
+        raise _loop_error(execution, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
 
 
 def _acting_force(notes: Sequence[tuple[int, ForceNote]], line: int) -> tuple[object, ...]:
@@ -625,11 +631,11 @@ def _acting_force(notes: Sequence[tuple[int, ForceNote]], line: int) -> tuple[ob
     return earlier_notes[-1].wrench, earlier_notes[-1].frame
 
 
-def _loop_line(course: Course, loop: UnrolledLoop) -> int:
+def _loop_line(execution: Execution, loop: UnrolledLoop) -> int:
     """Return the line of a LOOP in its file: the line before its body."""
-    return course.trace.place(loop.first).line - 1
+    return execution.trace.place(loop.first).line - 1
 
 
-def _loop_error(course: Course, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
+def _loop_error(execution: Execution, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
     """Return the error that a LOOP without EXIT cannot be corrected, at the line of the LOOP."""
-    return course.main.source.line_error(f"LOOP never ends, and {problem}", _loop_line(course, loop), advice)
+    return execution.main.source.line_error(f"LOOP never ends, and {problem}", _loop_line(execution, loop), advice)

@@ -12,10 +12,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.krl.course import (
+from postproc.dialects.krl.execution import (
     Body,
     Branch,
-    Course,
+    Execution,
     Fork,
     Join,
     Lines,
@@ -85,7 +85,7 @@ class Start(Struct, frozen=True, eq=False):
         return CollectedMotions(run, MotionReader(settings, self.joints))
 
 
-def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
+def execution_of(start: Start) -> tuple[Execution, CollectedMotions | None]:
     """Return the execution trace of a program, and the motions that its statements have made.
 
     :returns: the trace and the motions. None for the motions if the statements must run once more, along the complete
@@ -96,15 +96,15 @@ def course_of(start: Start) -> tuple[Course, CollectedMotions | None]:
     """
     if not start.cell.krl.keep_unresolved:
         with suppress(ProgramError):  # raised again below: this message may depend on the trace, which is not complete
-            return _course(start, collects=True)
-    return _course(start, collects=False)
+            return _execution(start, collects=True)
+    return _execution(start, collects=False)
 
 
-def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions | None]:
-    """Return the execution trace of a program, and its motions or None, as `course_of` does.
+def _execution(start: Start, *, collects: bool) -> tuple[Execution, CollectedMotions | None]:
+    """Return the execution trace of a program, and its motions or None, as `execution_of` does.
 
     :param collects: False to record the trace alone; the motions are None then.
-    :raises ProgramError: see `course_of`.
+    :raises ProgramError: see `execution_of`.
     """
     main, recorder = start.main, Recorder(start.main)
     collected_motions = start.new_collection(has_rows=collects)
@@ -117,7 +117,7 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     run.is_final = collects and settings.follows_numbers
     flow = _collecting_flow(collected_motions, recorder)
     if _is_straight(main, flow, nodes):
-        return _with_used_names(_straight_course(main, run.trace), start), None
+        return _with_used_names(_straight_execution(main, run.trace), start), None
     if settings.follows_numbers and len(free_settings):  # with plain settings among the statements
         nodes = nodes_of(main.source, main.statement_lines)
     _note_submit_programs(run)
@@ -127,15 +127,15 @@ def _course(start: Start, *, collects: bool) -> tuple[Course, CollectedMotions |
     if not run.level.return_line:  # the lines up to END run
         recorder.record_run_lines(main.last - 1)
     recorder.record_passed_lines(main.last - 1, is_live=False)
-    course = _with_used_names(recorder.course(run.unfollowed_routines), start)
+    execution = _with_used_names(recorder.execution(run.unfollowed_routines), start)
     has_all_motions = run.is_final and recorder.is_final and not settings.lacked_numbers
     has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
     # errors are reported when the statements run once more
-    has_faulty_name = any(fault_of(routine.name) for routine in (main, *course.inlined_routines))
+    has_faulty_name = any(fault_of(routine.name) for routine in (main, *execution.inlined_routines))
     if not has_all_motions or has_open_part or has_faulty_name:
-        return course, None
-    run.trace, run.shown_line = course.trace, 0  # 0: the trace has the line to report
-    return course, collected_motions
+        return execution, None
+    run.trace, run.shown_line = execution.trace, 0  # 0: the trace has the line to report
+    return execution, collected_motions
 
 
 def _collecting_flow(collected_motions: CollectedMotions, recorder: Recorder) -> Flow:
@@ -172,12 +172,12 @@ def _is_straight(main: Routine, flow: Flow, nodes: Sequence[Node]) -> bool:
     return not any(flow.belongs_in_trace(main.source, node) for node in control_nodes)
 
 
-def _straight_course(main: Routine, trace: Trace) -> Course:
+def _straight_execution(main: Routine, trace: Trace) -> Execution:
     """Return the execution trace of a program whose lines run one after the other."""
-    return Course(main, trace, (Lines(main.first + 1, main.last - 1),), Body(main.first + 1, main.last))
+    return Execution(main, trace, (Lines(main.first + 1, main.last - 1),), Body(main.first + 1, main.last))
 
 
-def _with_used_names(course: Course, start: Start) -> Course:
+def _with_used_names(execution: Execution, start: Start) -> Execution:
     """Return an execution trace with the names that new routines and programs must not have, if there may be new ones.
 
     With inlined routines of other files, which may be copied: names of programs and GLOBAL routines, and the programs
@@ -185,15 +185,15 @@ def _with_used_names(course: Course, start: Start) -> Course:
     returned unchanged.
     """
     library = start.library
-    foreign_routines = {routine for routine in course.inlined_routines if routine.source is not start.main.source}
+    foreign_routines = {routine for routine in execution.inlined_routines if routine.source is not start.main.source}
     if foreign_routines:
         return replace(
-            course,
+            execution,
             used_names=library.program_and_routine_names(),
             other_callers=library.programs_calling(foreign_routines),
         )
     # a long program may be divided into parts
-    return replace(course, used_names=library.program_names()) if start.cell.output.lines_per_file else course
+    return replace(execution, used_names=library.program_names()) if start.cell.output.lines_per_file else execution
 
 
 def _jump_error(main: Routine, flow: Flow, line: int) -> ProgramError:
@@ -251,7 +251,7 @@ class MainRoutine:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
     :param collected_motions: the motions of the program if its statements have run; else an empty collection.
-    :param course: the execution trace.
+    :param execution: the execution trace.
     :param plain: the plain lines, or plain rows of the trace.
     :ivar run: the program as far as it has run.
     :ivar motions: motions that are read as statements, in order.
@@ -260,9 +260,9 @@ class MainRoutine:
     :ivar splines: the spline blocks.
     """
 
-    def __init__(self, collected_motions: CollectedMotions, course: Course, plain: PlainLines) -> None:
+    def __init__(self, collected_motions: CollectedMotions, execution: Execution, plain: PlainLines) -> None:
         """Begin before the first statement."""
-        self.course = course
+        self.execution = execution
         self.run, self.reader = collected_motions.run, collected_motions.reader
         self._collected = collected_motions
         self.motions, self.idle_rows, self.splines = (
@@ -295,12 +295,12 @@ class MainRoutine:
     @cached_property
     def _plain_rounds(self) -> list[PlainRounds]:
         """The rounds of FOR loops whose bodies are plain, in order."""
-        return self.course.plain_rounds()
+        return self.execution.plain_rounds()
 
     @cached_property
     def _other_lines(self) -> Sequence[int]:
         """The rows of the trace that have code and are neither plain nor in plain rounds."""
-        return self.run.routine.other_lines if self.course.is_straight else self._lines_outside_rounds()
+        return self.run.routine.other_lines if self.execution.is_straight else self._lines_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -309,11 +309,11 @@ class MainRoutine:
         :raises ProgramError: the statements have errors; all of them together, as far as `MAX_ERRORS`.
         """
         run = self.run
-        _check_names([run.routine, *self.course.inlined_routines])
+        _check_names([run.routine, *self.execution.inlined_routines])
         _note_submit_programs(run)
         self._errors += faults
         lines = self._split_settings()
-        for step in self.course.steps:
+        for step in self.execution.steps:
             if isinstance(step, Lines):
                 self._run_step(step, lines[step])
             elif isinstance(step, UnresolvedStructure):
@@ -358,7 +358,7 @@ class MainRoutine:
         """
         step_rows: dict[Lines, Sequence[int]] = {}
         is_free_row = np.zeros(len(self.run.trace) + 1, dtype=np.bool_)  # outside of control structures; rows from 1
-        for step in self.course.steps:
+        for step in self.execution.steps:
             if isinstance(step, Lines):
                 step_rows[step], free_rows = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
                 is_free_row[free_rows] = True
@@ -434,7 +434,7 @@ class MainRoutine:
         row = _first_row(node)
         place = self.run.go_to_row(row)
         if number is None:
-            number = self.course.count_of_row.get(row)
+            number = self.execution.count_of_row.get(row)
         if number is None:  # the row does not set a counter
             # `Flow` takes lines of the file in place of rows
             file_node = node.shifted(-self.run.shift) if isinstance(node, Block) else place.line
@@ -468,10 +468,10 @@ class MainRoutine:
         :param motion_lines: (n,) rows of the motions in the trace, ascending.
         :raises ProgramError: a motion is outside of DEF … END.
         """
-        if self.course.is_straight:
+        if self.execution.is_straight:
             self._refuse_motions_outside_routines(motion_lines)
         # steps ascend and do not overlap; the first is none, for motions before all steps: rows count from 1
-        steps = [(0, 0), *((step.first, step.last) for step in self.course.steps if isinstance(step, Lines))]
+        steps = [(0, 0), *((step.first, step.last) for step in self.execution.steps if isinstance(step, Lines))]
         first_rows, last_rows = np.array(steps).T
         index = np.searchsorted(first_rows, motion_lines, side="right") - 1  # the last step that begins by each motion
         return np.asarray(motion_lines <= last_rows[index])

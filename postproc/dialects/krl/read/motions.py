@@ -179,7 +179,7 @@ def motions_and_layout(
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
-    trace, settings = main.course.trace, main.run.settings
+    trace, settings = main.execution.trace, main.run.settings
     sequence = _with_approximation(main, sequence)
     rows, motion_states, _, moves = sequence
     _check_settings(settings, sequence)
@@ -210,7 +210,7 @@ def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedM
     :raises ProgramError: a motion is not allowed inside, or outside, of a spline block.
     """
     rows, block = sequence.rows, sequence.motion_states.column(lambda state: state.spline_block)
-    check_words(main.course.trace, rows, block)
+    check_words(main.execution.trace, rows, block)
     is_approximated = approximated_motions(rows, block != "", main.splines.approximated_ends)
     return sequence._replace(rows=replace(rows, approximated=is_approximated))
 
@@ -223,7 +223,7 @@ def _text_targets(
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
-    trace, settings = main.course.trace, main.run.settings
+    trace, settings = main.execution.trace, main.run.settings
     rows, motion_states, _, moves = sequence
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
     uses_root = np.ones(len(rows), dtype=np.bool_)  # the path depends on the robot root, except to axis targets
@@ -307,7 +307,7 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
     run = main.run
     elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
     return Layout(
-        course=main.course,
+        execution=main.execution,
         line=rows.line,
         notes=(),
         numbers=ends.numbers,
@@ -739,7 +739,7 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     # lengths of the motions [m]
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(
-        triggers(main.course.trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length)
+        triggers(main.execution.trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length)
     )
 
 

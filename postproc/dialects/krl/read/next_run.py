@@ -12,10 +12,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.dialects.changed_data import FollowedRun, changed_data_issue, later_difference
-from postproc.dialects.krl.course import Course, Lines, RoutineExit, Step, UnresolvedStructure
+from postproc.dialects.krl.execution import Execution, Lines, RoutineExit, Step, UnresolvedStructure
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.known import UnknownValue, shown_name
-from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
+from postproc.dialects.krl.read.main_routine import MainRoutine, Start, execution_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import PlainLines
 from postproc.dialects.krl.read.rounds import Uses
@@ -107,18 +107,18 @@ class _LaterRuns:
         # `ordered_motions` empties the list
         plain_lines = replace(self._plain_lines, motions=[*self._plain_lines.motions])
         try:
-            course, collected_motions = course_of(start)
-            row = _first_differing_row(main.course, course)
+            execution, collected_motions = execution_of(start)
+            row = _first_differing_row(main.execution, execution)
             if row is None:
                 later = MainRoutine(
-                    collected_motions or start.new_collection(main.course.trace), main.course, plain_lines
+                    collected_motions or start.new_collection(main.execution.trace), main.execution, plain_lines
                 )
                 if collected_motions is None:
                     later.follow([])
                 motions = ordered_motions(later, plain_lines.motions)
                 row = _first_difference(first_run.settings, self._first, later.run.settings, motions)
             if row is not None:
-                return FollowedRun(main.course.trace.shown_line(row))
+                return FollowedRun(main.execution.trace.shown_line(row))
         except ProgramError as cause:  # the run cannot be followed
             return FollowedRun(cause.line or first_run.routine.first)
         self._last_variables = later.run.settings.variables
@@ -128,10 +128,10 @@ class _LaterRuns:
         return FollowedRun(None, frozenset(key for key in keys if variable_of(key) in places))
 
 
-def _first_differing_row(first: Course, second: Course) -> int | None:
+def _first_differing_row(first: Execution, second: Execution) -> int | None:
     """Return the first row, from 1, at which the traces of two runs differ; None if they are equal."""
     row_count = min(len(first.trace), len(second.trace))  # rows of both traces
-    columns = [(*_file_and_line_columns(course), course.counter_values()) for course in (first, second)]
+    columns = [(*_file_and_line_columns(execution), execution.counter_values()) for execution in (first, second)]
     differs = np.zeros(row_count, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
         a, b = first_column[:row_count], second_column[:row_count]
@@ -143,7 +143,7 @@ def _first_differing_row(first: Course, second: Course) -> int | None:
     return min((known_row for known_row in (row, step_row) if known_row is not None), default=None)
 
 
-def _first_differing_step(first: Course, second: Course) -> int | None:
+def _first_differing_step(first: Execution, second: Execution) -> int | None:
     """Return the row of the trace at which the first step differs between two runs; None if all steps are equal."""
     row = 1  # of the last step with a row
     for step, other_step in zip_longest(first.steps, second.steps):
@@ -169,9 +169,9 @@ def _step_row(step: Step | None) -> int | None:
     return None if step is None or isinstance(step, RoutineExit) else step.row
 
 
-def _file_and_line_columns(course: Course) -> tuple[Array, Array]:
+def _file_and_line_columns(execution: Execution) -> tuple[Array, Array]:
     """Return the file (L,), as a number, and the line (L,) of each of the L rows of a trace."""
-    trace = course.trace
+    trace = execution.trace
     files = np.array([float(id(source)) for source in trace.sources])  # the two runs share their sources
     return files[trace.file], trace.line.astype(np.float64)
 

@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import PlainBody, PlainRounds
+from postproc.dialects.krl.execution import PlainBody, PlainRounds
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.names import CIRCLES, MAX_LENGTH
 from postproc.dialects.krl.language.parser import statement

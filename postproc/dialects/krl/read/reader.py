@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.dialects.krl.course import Course, Join, Occasion
+from postproc.dialects.krl.execution import Execution, Join, Occasion
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
@@ -50,7 +50,7 @@ from postproc.dialects.krl.read.joins import (
     transitions,
 )
 from postproc.dialects.krl.read.known import InexactError
-from postproc.dialects.krl.read.main_routine import MainRoutine, Start, course_of
+from postproc.dialects.krl.read.main_routine import MainRoutine, Start, execution_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.motions import (
     OrderedMotions,
@@ -167,14 +167,14 @@ class _Reading(Struct, frozen=True, eq=False):
         joints = tuple(float(angle) for angle in self.cell.start_joints * DEG_PER_RAD)
         variables = self._initial_variables()
         start = Start(self.library, self.entry, obstacles, variables=variables, cell=self.cell, joints=joints)
-        course, collected_motions = course_of(start)
-        if not course.is_straight:
-            plain_lines = plain_rows_of_trace(course.trace, {self.entry.source: plain_lines}, bulk=bulk)
+        execution, collected_motions = execution_of(start)
+        if not execution.is_straight:
+            plain_lines = plain_rows_of_trace(execution.trace, {self.entry.source: plain_lines}, bulk=bulk)
         if collected_motions is None or self.faults:
-            main = MainRoutine(start.new_collection(course.trace), course, plain_lines)
+            main = MainRoutine(start.new_collection(execution.trace), execution, plain_lines)
             self._run_statements(main, plain_lines)
         else:
-            main = MainRoutine(collected_motions, course, plain_lines)
+            main = MainRoutine(collected_motions, execution, plain_lines)
         if not self.cell.krl.keep_unresolved:
             refuse_routines_with_force_comments(main.run)
         plain_lines = self._executed_lines(main, plain_lines)
@@ -237,9 +237,9 @@ class _Reading(Struct, frozen=True, eq=False):
             or a coordinate is out of reach.
         """
         main, separation = executed_program.main, executed_program.separation
-        run, course, sequence = main.run, main.course, separation.sequence
+        run, execution, sequence = main.run, main.execution, separation.sequence
         order = self._motion_order(main, separation)
-        _check_size(course.trace, sequence.rows)
+        _check_size(execution.trace, sequence.rows)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
             main, sequence, self.cell.start_joints, self.kinematics, order.predecessors
@@ -256,9 +256,9 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=(*remarks(course, layout.line), *self._waits(run, course, layout.line)),
+            events=(*remarks(execution, layout.line), *self._waits(run, execution, layout.line)),
             notes=tuple(note for _, note in order.notes),
-            still=course.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
+            still=execution.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
             carriage=layout.carriage,
             turns_with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
@@ -266,9 +266,9 @@ class _Reading(Struct, frozen=True, eq=False):
             turn_speeds=stated_turn_speeds(sequence.numbers),
             after=order.predecessors,
             joins=joined_ends,
-            branches=branch_spans(course, sequence.rows.line),
+            branches=branch_spans(execution, sequence.rows.line),
             transitions=transitions(
-                course, layout.line, order.predecessors, order.uncorrected_lines, order.unchecked_joins
+                execution, layout.line, order.predecessors, order.uncorrected_lines, order.unchecked_joins
             ),
             unresolved=separation.unresolved,
             unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
@@ -276,15 +276,15 @@ class _Reading(Struct, frozen=True, eq=False):
             layout=replace(layout, notes=tuple(line for line, _ in order.notes)),
         )
 
-    def _waits(self, run: Run, course: Course, line: Ints) -> Iterator[Event]:
+    def _waits(self, run: Run, execution: Execution, line: Ints) -> Iterator[Event]:
         """Yield the waits of a program as dwells, one for each motion at whose end the program may wait.
 
         :param line: (M,) lines of the trace with the motions.
         """
-        times = waits(course, self._routines(), run.waiting_calls)
+        times = waits(execution, self._routines(), run.waiting_calls)
         kept_lines = [line for line, _ in run.unresolved_motions]
-        for row, motion in motions_before(course, line, kept_lines, times) if times else ():
-            yield Event(before=motion + 1, kind="dwell", line=course.trace.shown_line(row), value=times[row])
+        for row, motion in motions_before(execution, line, kept_lines, times) if times else ():
+            yield Event(before=motion + 1, kind="dwell", line=execution.trace.shown_line(row), value=times[row])
 
     def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
         """Return which motions of a program follow each other, and under which force comments.
@@ -293,19 +293,19 @@ class _Reading(Struct, frozen=True, eq=False):
         :raises ProgramError: the force on a motion is not known, or an unfollowed routine is called under force.
         :raises BranchError: a motion in or after a branch depends on more than its start pose.
         """
-        run, course, sequence = main.run, main.course, separation.sequence
+        run, execution, sequence = main.run, main.execution, separation.sequence
         # E1 must be in one position at each join
         unchecked_joins = (
-            frozenset() if self.cell.carriage is not None else joins_before_joint_targets(course, sequence)
+            frozenset() if self.cell.carriage is not None else joins_before_joint_targets(execution, sequence)
         )
         notes = force_notes(
-            course, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
+            execution, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
         )
         if not self.cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
         uncorrected_lines = [line for line, _ in run.unresolved_motions]
         predecessors, joins = predecessors_and_joins(
-            course, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
+            execution, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
         )
         return _MotionOrder(notes, predecessors, joins, unchecked_joins, uncorrected_lines)
 
@@ -314,8 +314,8 @@ class _Reading(Struct, frozen=True, eq=False):
         library = self.library
         first = self.documents[0]
         program_documents = (d for d in self.documents if d.name == first.name or _is_data_of(d, first))
-        documents = *program_documents, *main.course.files
-        inlined_files = {document.name for document in main.course.files}
+        documents = *program_documents, *main.execution.files
+        inlined_files = {document.name for document in main.execution.files}
         inlined_modules = (module for module in library.read_modules() if module.source.document.name in inlined_files)
         modules = self._module_with_data(library.program), *inlined_modules
         code = (code for module in modules for code in codes_of(module))
@@ -386,14 +386,14 @@ def _checked_ends(
     :raises ProgramError: motions of a group end in different poses, or a round ends with other settings, or under
         another force, than it began.
     """
-    course = main.course
-    check_joins(course, order.joins, motions, layout.carriage, path)
+    execution = main.execution
+    check_joins(execution, order.joins, motions, layout.carriage, path)
     ends = tuple(join.ends for join in order.joins)
-    if (loop := course.endless_loop) is None:
+    if (loop := execution.endless_loop) is None:
         return ends
     rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
-    check_endless_loop(course, rounds, main.run.settings)
-    check_force(course, loop, layout.line, motions.kind, order.notes)
+    check_endless_loop(execution, rounds, main.run.settings)
+    check_force(execution, loop, layout.line, motions.kind, order.notes)
     return (*ends, *rounds.joined_ends())
 
 
@@ -425,8 +425,8 @@ def _program_issues(
     yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
     yield from issues_of(main, separation.sequence.motion_states, separation.sequence.rows, layout)
     yield from _cell_value_issues(executed_program)
-    if (loop := main.course.endless_loop) is not None:
-        yield endless_loop_issue(main.course, loop)
+    if (loop := main.execution.endless_loop) is not None:
+        yield endless_loop_issue(main.execution, loop)
 
 
 def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:
@@ -448,7 +448,7 @@ def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
     main, start = executed_program.main, executed_program.start
     if main.reader.home_motion_row:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        line = main.course.trace.shown_line(main.reader.home_motion_row)
+        line = main.execution.trace.shown_line(main.reader.home_motion_row)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.used_cell_values:
         cell_values = start.cell.krl.values

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import Occasion
+from postproc.dialects.krl.execution import Occasion
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import CONTROLLER_DATA
 from postproc.dialects.krl.language.routines import Module, Routine

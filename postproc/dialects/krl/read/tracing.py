@@ -10,10 +10,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from postproc.chunks import ragged_range
-from postproc.dialects.krl.course import (
+from postproc.dialects.krl.execution import (
     Body,
     Branch,
-    Course,
+    Execution,
     Fork,
     InlinedRoutine,
     Join,
@@ -293,7 +293,7 @@ class Recorder:
         self._open_routines[-1].cursor = block.last + 1
         loop.stop = self.row_count + 1
 
-    def course(self, unfollowed_routines: Set[Routine]) -> Course:
+    def execution(self, unfollowed_routines: Set[Routine]) -> Execution:
         """Return the complete trace.
 
         The other lines of the main file are added as rows that do not run, but for inlined routines behind the main
@@ -318,7 +318,7 @@ class Recorder:
         # rows of a piece are consecutive lines; 0 in `for_line` or `shown_line`: the line of the row itself
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
         shown = np.where(shown_line > 0, shown_line, line)
-        return Course(
+        return Execution(
             main=main,
             trace=Trace(tuple(self._sources), file, line, shown, for_line > 0),
             steps=tuple(self._steps),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from msgspec import Struct
 
-from postproc.dialects.krl.course import RoutineEntry
+from postproc.dialects.krl.execution import RoutineEntry
 from postproc.dialects.krl.language.names import SYNCHRONISING
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.source import Source
@@ -189,19 +189,19 @@ def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
 
     :returns: empty if no file that has been read synchronises robots.
     """
-    course, trace = main.course, main.course.trace
+    execution, trace = main.execution, main.execution.trace
     if (words := _sync_words(main)) is None:
         return []
-    entry_rows = {step.row for step in course.steps if isinstance(step, RoutineEntry)}
+    entry_rows = {step.row for step in execution.steps if isinstance(step, RoutineEntry)}
     sync_lines = []
-    for row in range(course.body.first, course.body.stop):
+    for row in range(execution.body.first, execution.body.stop):
         # rows that set the counter of a FOR are no lines of the file
-        if not trace.is_count[row - 1] and (course.may_run is None or course.may_run[row - 1]):
+        if not trace.is_count[row - 1] and (execution.may_run is None or execution.may_run[row - 1]):
             word = _sync_word(*trace.place(row), words.names, is_entered=row in entry_rows)
             if word:
                 only_waits = not words.may_run_later and (words.only_wait or word == _WAIT_WORD)
                 sync_lines.append(_SyncLine(row, only_waits))
-    loop = course.endless_loop
+    loop = execution.endless_loop
     # a section may begin in one round and end in the next
     if loop is not None and any(loop.first <= line.row < loop.stop for line in sync_lines):
         sync_lines += [_SyncLine(loop.first - 1, only_waits=True), _SyncLine(loop.stop, only_waits=True)]

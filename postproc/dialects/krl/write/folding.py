@@ -19,7 +19,7 @@ from msgspec import Struct, field
 from msgspec.structs import replace
 
 from postproc.chunks import ragged_range
-from postproc.dialects.krl.course import Body, Course, InlinedRoutine, UnrolledLoop
+from postproc.dialects.krl.execution import Body, Execution, InlinedRoutine, UnrolledLoop
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.routines import Routine
@@ -50,13 +50,13 @@ class FoldedProgram(Struct, frozen=True):
     issues: tuple[Issue, ...]
 
 
-def fold(course: Course, main: Routine, new_rows: EditedRows) -> FoldedProgram:
+def fold(execution: Execution, main: Routine, new_rows: EditedRows) -> FoldedProgram:
     """Return the files of a program whose execution trace was corrected.
 
     :param main: the main routine of the program.
     :param new_rows: the edited rows of the trace, and their texts.
     """
-    return _Folder(course, main, new_rows).fold()
+    return _Folder(execution, main, new_rows).fold()
 
 
 class _Piece(NamedTuple):
@@ -96,7 +96,7 @@ class _Folder(Struct, eq=False):
     :ivar outside_calls: calls of routines in other files than the `.src`.
     """
 
-    course: Course
+    execution: Execution
     main: Routine
     edited: EditedRows
     versions: defaultdict[Routine, dict[_Key, _Version]] = field(default_factory=lambda: defaultdict(dict))
@@ -108,8 +108,8 @@ class _Folder(Struct, eq=False):
 
     def fold(self) -> FoldedProgram:
         """Return the files of the program: the main file, and other files whose text changes."""
-        key = self._body_key(self.course.body)
-        body = self._body_piece(self.course.body)
+        key = self._body_key(self.execution.body)
+        body = self._body_piece(self.execution.body)
         self.versions[self.main][key] = _Version(self.main.name, body, [*body.places])
         sources = dict.fromkeys([self.main.source, *(routine.source for routine in self.versions)])
         file_of = {source: _concatenate(self._file_pieces(source)) for source in sources}
@@ -151,7 +151,7 @@ class _Folder(Struct, eq=False):
         Their subject is the file and the program, with a comma between them.
         """
         name = source.document.name
-        for caller in self.course.other_callers.get(name, ()):
+        for caller in self.execution.other_callers.get(name, ()):
             message = (
                 f"{name} is corrected for this program. {caller} of its folders calls it too, and would move by the "
                 f"correction made here: give it a {name} of its own."
@@ -189,7 +189,7 @@ class _Folder(Struct, eq=False):
 
     def _line_of_row(self, row: int) -> int:
         """Return the line of a row of the trace in its file."""
-        return self.course.trace.line.item(row - 1)
+        return self.execution.trace.line.item(row - 1)
 
     def _loop_key(self, loop: UnrolledLoop) -> object:
         """Return the key of the changes in a loop.
@@ -204,9 +204,9 @@ class _Folder(Struct, eq=False):
             return keys[0] if keys else self._key_of_lines(loop)
         head = loop.opener.strip()
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
-        line = self.course.trace.shown_line(loop.first)
+        line = self.execution.trace.shown_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
-        end = self.course.counter_value(loop, loop.bodies[-1].stop) if self._sets_counter(loop) else None
+        end = self.execution.counter_value(loop, loop.bodies[-1].stop) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
 
     def _sets_counter(self, loop: UnrolledLoop) -> bool:
@@ -237,18 +237,18 @@ class _Folder(Struct, eq=False):
         """
         versions, routine = self.versions[call.routine], call.routine
         key = self._body_key(call.body)
-        if routine in self.course.unchanged_routines and not versions:
+        if routine in self.execution.unchanged_routines and not versions:
             text = routine.source.lines_text(routine.first + 1, routine.last - 1)
             versions[()] = _Version(routine.name, _Piece(line_count(text), (text,)))
         if key not in versions:
             versions[key] = _Version(self._name_of_copy(call) if versions else routine.name)
         version = self._calls[call] = versions[key]
-        version.is_called_outside |= self.course.trace.place(call.row)[0] is not routine.source
+        version.is_called_outside |= self.execution.trace.place(call.row)[0] is not routine.source
         return version
 
     def _counter_values(self, loop: UnrolledLoop) -> list[int]:
         """Return the value of the counter of a FOR in each round; zeros for other loops."""
-        return [self.course.counter_value(loop, body.first) if loop.step != 0 else 0 for body in loop.bodies]
+        return [self.execution.counter_value(loop, body.first) if loop.step != 0 else 0 for body in loop.bodies]
 
     # --- bodies ------------------------------------------------------------------------------------------------------
 
@@ -281,7 +281,7 @@ class _Folder(Struct, eq=False):
 
         :param blanks: indentation of the line.
         """
-        text = f"{blanks}{loop.counter}={self.course.counter_value(loop, row)}{_line_end(loop.opener)}"
+        text = f"{blanks}{loop.counter}={self.execution.counter_value(loop, row)}{_line_end(loop.opener)}"
         return _Piece(1, content=(text,), places=((0, row, row + 1),))
 
     def _loop_piece(self, loop: UnrolledLoop) -> _Piece:
@@ -335,7 +335,7 @@ class _Folder(Struct, eq=False):
                     yield self._counter_piece(loop, body.first, blanks)
                 yield piece
             return
-        begin, last = (self.course.counter_value(loop, body.first) for body in (bodies[0], bodies[-1]))
+        begin, last = (self.execution.counter_value(loop, body.first) for body in (bodies[0], bodies[-1]))
         step = "" if loop.step == 1 else f" STEP {loop.step}"
         yield _text_piece(f"{blanks}FOR {loop.counter}={begin} TO {last}{step}{end}")
         yield _merge_rounds(rounds)
@@ -356,7 +356,7 @@ class _Folder(Struct, eq=False):
             self.outside_calls.append(call)
         if version.name == call.routine.name:
             return line
-        text, (source, number) = self._text(line), self.course.trace.place(call.row)
+        text, (source, number) = self._text(line), self.execution.trace.place(call.row)
         # span of the name in the line; `call.name` is its span in the file
         start, stop = (offset - source.starts.item(number - 1) for offset in call.name)
         return line._replace(content=(text[:start] + version.name + text[stop:],))
@@ -365,9 +365,9 @@ class _Folder(Struct, eq=False):
 
     def _used_names(self) -> Names:
         """Return all names that the program and its files use: no copy of a routine may have them."""
-        sources = dict.fromkeys([*self.course.trace.sources, *(routine.source for routine in self.versions)])
+        sources = dict.fromkeys([*self.execution.trace.sources, *(routine.source for routine in self.versions)])
         names_by_file = (names_in(source.text) for source in sources)
-        return Names(set(self.course.used_names).union(*names_by_file))
+        return Names(set(self.execution.used_names).union(*names_by_file))
 
     def _name_of_copy(self, call: InlinedRoutine) -> str:
         """Return a new name for the copy of a routine that a call gets; add the reason for the copy to `issues`."""
@@ -378,10 +378,10 @@ class _Folder(Struct, eq=False):
         spelling = head.name if isinstance(head, Definition) else routine.name  # as its file writes it
         name = self.names.unused_name(spelling)
         reason = "is corrected differently from call to call"
-        if routine in self.course.unchanged_routines:
+        if routine in self.execution.unchanged_routines:
             reason = "is also called where calls are not followed, and stays as it is there"
         message = f"{spelling}() {reason}: this one calls its copy {name}()."
-        line = self.course.trace.shown_line(call.row)
+        line = self.execution.trace.shown_line(call.row)
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 
@@ -434,7 +434,7 @@ class _Folder(Struct, eq=False):
 
     def _text_of_rows(self, first: int, last: int) -> str:
         """Return the corrected text of rows first … last − 1 of the trace, which are consecutive lines of a file."""
-        source, line = self.course.trace.place(first)
+        source, line = self.execution.trace.place(first)
         shift = line - first  # from a row to its line in the file
         begin, stop = np.searchsorted(self.edited.rows, [first, last]).tolist()
         texts: list[str] = []

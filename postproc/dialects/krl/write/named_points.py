@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.krl.course import Course
+from postproc.dialects.krl.execution import Execution
 from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import Names
@@ -131,7 +131,7 @@ class NamedPoints(Struct, eq=False):
         """
         names: dict[str, str] = {}
         for use in uses:
-            source = self.layout.course.trace.source(use.line)
+            source = self.layout.execution.trace.source(use.line)
             text = source.text[use.operand.start : use.operand.stop]
             is_out_of_scope = source is not self.sources[0]  # other files do not see names of this `.dat`
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
@@ -178,14 +178,14 @@ class NamedPoints(Struct, eq=False):
         self.issues.append(Issue("info", "point-replaced", message, use.line))
 
 
-def mentions(course: Course, plain_rows: Ints) -> Mentions:
+def mentions(execution: Execution, plain_rows: Ints) -> Mentions:
     """Return the places at which code names each variable: name, upper case → (row of the trace, offset).
 
     Routines that must stay unchanged are searched a second time, with row 0: the reader follows no use in them.
 
     :param plain_rows: rows that name no points; they are skipped.
     """
-    trace, places = course.trace, defaultdict[str, list[tuple[int, int]]](list)
+    trace, places = execution.trace, defaultdict[str, list[tuple[int, int]]](list)
     is_left_out = trace.is_count.copy()
     is_left_out[plain_rows - 1] = True
     names: dict[Place, list[tuple[str, int]]] = {}
@@ -195,7 +195,7 @@ def mentions(course: Course, plain_rows: Ints) -> Mentions:
             names[place] = _names_on_line(*place)
         for name, offset in names[place]:
             places[name].append((row, offset))
-    for routine in course.unchanged_routines:
+    for routine in execution.unchanged_routines:
         for line in range(routine.first + 1, routine.last):
             for name, offset in _names_on_line(routine.source, line):
                 places[name].append((0, offset))

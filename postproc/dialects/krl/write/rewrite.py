@@ -95,8 +95,8 @@ class _Rewriter:
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
-        self.trace = layout.course.trace
-        self.sources = [layout.course.main.source, *(Source.of(document, 1) for document in data)]
+        self.trace = layout.execution.trace
+        self.sources = [layout.execution.main.source, *(Source.of(document, 1) for document in data)]
         self.comment_lines = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
@@ -136,7 +136,7 @@ class _Rewriter:
         )
         # lines of all motions that are not in `statements`: they name no points, except array elements
         plain_rows = np.delete(self.layout.line, list(moves))
-        return mentions(self.layout.course, plain_rows) if has_names else {}
+        return mentions(self.layout.execution, plain_rows) if has_names else {}
 
     def _is_straightened(self) -> Bools:
         """Return whether a target (K,) is a line in place of a circle of the program."""
@@ -178,16 +178,16 @@ class _Rewriter:
 
         :param line: (K,) lines of the targets in the corrected execution trace.
         """
-        course, changes = self.layout.course, self.replacements[0]
+        execution, changes = self.layout.execution, self.replacements[0]
         files = {document.name: document for document in self.documents}
         for source, edits in zip(self.sources[1:], self.replacements[1:], strict=True):
             files[source.document.name] = replace(source.document, text=edits.apply(source.text))
-        if course.is_straight:
+        if execution.is_straight:
             main = self.documents[0]
             files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
             return tuple(files.values()), line
         new_rows = edited_rows(self.trace, changes)
-        folded_program = fold(course, course.main, new_rows)
+        folded_program = fold(execution, execution.main, new_rows)
         files |= {document.name: document for document in folded_program.documents}
         self.issues = [*map(self._with_shown_line, self.issues), *folded_program.issues]
         trace_row = self.layout.line[self.motion_of_target]
@@ -588,7 +588,7 @@ def _check_lowered_feeds(program: Program, layout: Layout) -> None:
     tails = [layout.source(motion).text[start:stop].upper() for motion, (start, stop) in spans]
     for is_refused, problem in (
         (
-            np.full(len(rows), not layout.course.is_straight),
+            np.full(len(rows), not layout.execution.is_straight),
             "this program has loops, branches or calls: its lines run more than once or not always",
         ),
         (layout.is_in_spline_block[rows], "the motion is in a spline block"),

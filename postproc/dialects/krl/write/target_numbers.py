@@ -217,7 +217,7 @@ def _nearest_angles(abc: Array, reference: Array) -> Array:
 
 def _input_decimals(layout: Layout) -> Ints:
     """Return the number of decimals (M, 6) of X … C of M motions in the input; 0 where the text has no number."""
-    trace, spans = layout.course.trace, layout.spans(slice(None), slice(6))
+    trace, spans = layout.execution.trace, layout.spans(slice(None), slice(6))
     for elements in layout.elements:
         spans[elements.row] = -1  # offsets in another file: handled below
     decimals = np.zeros(spans.shape[:2], dtype=np.int64)

@@ -678,7 +678,7 @@ def test_a_for_that_counts_by_a_real_is_refused_with_the_name_of_its_counter():
 
 def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
     program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), COUNTERS_DAT)
-    trace, edits = program.layout.course.trace, Replacements()
+    trace, edits = program.layout.execution.trace, Replacements()
     rows = program.layout.line[:3].tolist()
     assert len(set(trace.starts(np.array(rows)).tolist())) == 1
     begin, same = trace.starts(program.layout.line[2:4]).tolist()
@@ -882,12 +882,12 @@ def test_the_trace_has_no_text_but_that_of_the_files():
     lines = ["FOR I=1 TO 5", "Z=I", "TRIGGER WHEN PATH=1 DELAY=0 DO $OUT[1]=TRUE", "LIN {X Z,Y 1}", "SUB(I)"]
     lines += ["IF I>2 THEN", "K=I", "ELSE", "K=0", "ENDIF", "ENDFOR"]
     program = read(body(FULL, *lines) + SUB, COUNTERS_DAT)
-    course = program.layout.course
+    execution = program.layout.execution
     assert len(program.motions) == 11
-    assert len(course.trace) > 50
-    assert course.trace.sources == (course.main.source,)
-    assert course.trace.line.max() <= len(course.main.source.starts)
-    starts = [course.main.source.starts[line - 1] for line in course.trace.line[program.layout.line - 1]]
+    assert len(execution.trace) > 50
+    assert execution.trace.sources == (execution.main.source,)
+    assert execution.trace.line.max() <= len(execution.main.source.starts)
+    starts = [execution.main.source.starts[line - 1] for line in execution.trace.line[program.layout.line - 1]]
     assert program.layout.keyword.tolist() == starts
 
 

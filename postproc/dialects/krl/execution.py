@@ -201,7 +201,7 @@ class InlinedRoutine(Struct, eq=False):
     body: Body
 
 
-class Course(Struct, frozen=True, eq=False):
+class Execution(Struct, frozen=True, eq=False):
     """The execution trace of a program.
 
     :param main: the main routine.
