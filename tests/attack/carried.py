@@ -5,17 +5,15 @@ python -m tests.attack.carried --minutes 60 [--seed 0]
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
-import time
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from postproc import correction, forces, report
 from postproc.errors import PostprocError
+from tests.attack.driver import parser, try_seeds
 from tests.cells import sample
 from tests.corrections import read_back, read_files
 
@@ -159,18 +157,11 @@ def try_program(seed):
     return "carried by a file" if rows is not None else "carried by comments" if program.notes else "without forces"
 
 
-def main():
-    """Try programs for some minutes, and count what came of them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    found, seed, end = Counter(), options.seed, time.monotonic() + 60.0 * options.minutes
-    while time.monotonic() < end:
-        found[try_program(seed)] += 1
-        seed += 1
-    print(f"{found.total()} programs: {dict(found)}")
+def main() -> int:
+    """Try programs, and count what came of them."""
+    options = parser(__doc__).parse_args()
+    return try_seeds(options, try_program)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

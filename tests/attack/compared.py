@@ -8,11 +8,8 @@ the tool by less than three times the tolerance is not planted.
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
-import time
-from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -27,6 +24,7 @@ from postproc.program import CIRC, PTP
 from postproc.provenance import Provenance
 from postproc.report.comparison import ProgramOrigin, comparison_summary
 from tests.attack import carried
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.benchmarks import programs
 from tests.cells import sample
 from tests.comparison.krl_moves import TURNED
@@ -36,10 +34,6 @@ from tests.krl_texts import HEAD
 
 LEAST_MM, LEAST_DEG = 0.03, 0.05
 NUMBER = r"(?<![\w.$])({name} ?)(-?\d+\.?\d*)"
-
-
-class Silent(Exception):
-    """A difference was planted, and compare says that both belong together; or nothing was, and it complains."""
 
 
 def splines(rng):
@@ -256,7 +250,7 @@ PLANTS = (
 def attack(seed):
     """Try the job of a seed: return what came of it.
 
-    :raises Silent: a planted difference is not told, or one is told where none is.
+    :raises Wrong: a planted difference is not told, or one is told where none is.
     """
     kind, files, cell, robot, writer = job(seed)
     with tempfile.TemporaryDirectory() as folder:
@@ -273,7 +267,7 @@ def attack(seed):
     state, stated = told(nominal, written, cell, robot, rows)
     rounded = any(issue.kind == "blending" for issue in result.issues)  # convert warns of it too
     if state != "ok" and not (rounded and state == "warning" and all("cuts the corner" in each for each in stated)):
-        raise Silent(f"seed {seed}, {kind}: nothing was planted, and compare says {state}: {stated}")
+        raise Wrong(f"seed {seed}, {kind}: nothing was planted, and compare says {state}: {stated}")
     planter = Planter(writer.rng, written[name], result)
     plant = writer.pick(*PLANTS)
     text = getattr(planter, plant)()
@@ -284,30 +278,14 @@ def attack(seed):
         was, now = written[name].splitlines(), text.splitlines()
         lines = [n for n, (a, b) in enumerate(zip(was, now, strict=False), 1) if a != b][:2]
         told_lines = "\n".join(f"{n}: {was[n - 1]}\n{n}: {now[n - 1]}" for n in lines)
-        raise Silent(f"seed {seed}, {kind}: {plant} is not told\n{told_lines}\n{why}")
+        raise Wrong(f"seed {seed}, {kind}: {plant} is not told\n{told_lines}\n{why}")
     return plant
 
 
-def main():
-    """Try programs for some minutes, and count what came of them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--count", type=int, default=10**9)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep-going", action="store_true")
-    options = parser.parse_args()
-    found, seed, end = Counter(), options.seed, time.monotonic() + 60.0 * options.minutes
-    while time.monotonic() < end and found.total() < options.count:
-        try:
-            found[attack(seed)] += 1
-        except Silent as cause:
-            found["silent"] += 1
-            print(cause, flush=True)
-            if not options.keep_going:
-                break
-        seed += 1
-    print(f"{found.total()} programs, next seed {seed}: {dict(found)}")
-    return found["silent"] > 0
+def main() -> int:
+    """Try programs, and count what came of them."""
+    options = parser(__doc__).parse_args()
+    return try_seeds(options, attack)
 
 
 if __name__ == "__main__":

@@ -8,15 +8,14 @@ a motion reads it, or one of its copies. What is written must move to the correc
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from postproc.errors import PostprocError
-from tests.attack.krl import Wrong, confirmed, read_job
+from tests.attack.driver import parser, try_seeds
+from tests.attack.krl import confirmed, read_job
 
 _POINTS = ("XT", "YT", "FT", "ZT", "GT", "PP[1]", "PP[2]", "PP[3]", "PP[4]", "PP[I]", "PP[N]")
 _POINTS_DAT = (
@@ -104,22 +103,16 @@ def attempt(seed: int, folder: Path) -> str:
     return "with copies" if state == "accepted" and program.layout.copies else state
 
 
-def main() -> None:
-    """Run programs, and print what became of them."""
-    options = argparse.ArgumentParser()
-    options.add_argument("--seed", type=int, default=5000, help="of the first program")
-    options.add_argument("--programs", type=int, default=700)
-    given = options.parse_args()
-    counts: Counter[str] = Counter()
-    for seed in range(given.seed, given.seed + given.programs):
-        with tempfile.TemporaryDirectory() as folder:
-            try:
-                counts[attempt(seed, Path(folder))] += 1
-            except Wrong as error:
-                counts["wrong"] += 1
-                print(seed, error, flush=True)
-    print(dict(counts))
+def attack(seed: int) -> str:
+    """Try the program of a seed, see `attempt`."""
+    with tempfile.TemporaryDirectory() as folder:
+        return attempt(seed, Path(folder))
+
+
+def main() -> int:
+    """Try programs, and count what came of them."""
+    return try_seeds(parser(__doc__).parse_args(), attack)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

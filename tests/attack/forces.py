@@ -9,23 +9,24 @@ earlier or later.
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
-import time
-from collections import Counter
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from postproc.errors import ForceError
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.machining.setting import AL7075, forces, gcode, on_line, process, tool
 from tests.oracle.teeth import Teeth
 
 RELATIVE, ABSOLUTE = 0.04, 3.0
-"""Of the force, and N."""
+"""The bound: of the force, and N."""
+LARGEST_MISS = 2.0
+"""So many bounds are wrong. Less is counted: cells of the stock are cut whole or not at all (2 of 130 scenes)."""
 CHORD = math.radians(3.0)
 FEED, RPM = 1200.0, 6000.0
 STEPS = 180
@@ -296,24 +297,29 @@ def try_scene(seed, cell=0.25):
     return scene, worst, told
 
 
+def attack(seed, cell=0.25):
+    """Try the scene of a seed; return its kind, and whether a force is outside the bound.
+
+    :raises Wrong: a force misses by `LARGEST_MISS` bounds.
+    """
+    scene, worst, told = try_scene(seed, cell)
+    name = f"{scene.kind} {scene.shape}"
+    if worst <= 1.0:
+        return name
+    miss = f"{name} {worst:.2f} D{2 * scene.cutter.radius:g} {told}"
+    if worst > LARGEST_MISS:
+        raise Wrong(miss)
+    print(f"{seed}: {miss}", flush=True)
+    return f"{name}, outside the bound"
+
+
 def main():
-    """Try scenes for some minutes; print those that miss."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cell", type=float, default=0.25)
-    options = parser.parse_args()
-    count, missed, seed, end = Counter(), Counter(), options.seed, time.monotonic() + 60.0 * options.minutes
-    while time.monotonic() < end:
-        scene, worst, told = try_scene(seed, options.cell)
-        name = f"{scene.kind} {scene.shape}"
-        count[name] += 1
-        if worst > 1.0:
-            missed[name] += 1
-            print(f"{seed}: {name} {worst:.2f} D{2 * scene.cutter.radius:g} {told}", flush=True)
-        seed += 1
-    print({name: f"{missed[name]} of {count[name]}" for name in sorted(count)})
+    """Try scenes, and count their kinds."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--cell", type=float, default=0.25, help="edge of the cells of the stock [mm]")
+    options = arguments.parse_args()
+    return try_seeds(options, partial(attack, cell=options.cell))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

@@ -10,12 +10,9 @@ other way than with its own errors.
 
 from __future__ import annotations
 
-import argparse
 import random
 import re
-import time
 import traceback
-from collections import Counter
 
 from msgspec.structs import replace
 
@@ -24,6 +21,7 @@ from postproc.dialects.text import decode
 from postproc.errors import MAX_ERRORS, InputError
 from postproc.program import Program
 from tests.attack import inputs
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.attack.gcode_generator import OFFSETS, Generator, mutated
 from tests.dialects.gcode_reading import CELL, forward, outcome
 from tests.oracle.rs274 import RejectedError, assert_same_moves, canonical
@@ -47,10 +45,6 @@ ACCEPTED_HERE = re.compile(
 """What rs274 may refuse and the reader accepts."""
 ONLY_OTHER_AXIS = re.compile(r"(?im)^/?(n\d+)? *[ab] *0\.? *([(;].*)?$")
 """A block that rs274 quotes as wrong and the reader ignores: after G2 or G80 it takes A0 alone for a motion."""
-
-
-class Wrong(AssertionError):
-    """The reader and rs274 do not agree."""
 
 
 def variables(scale: int) -> str:
@@ -124,29 +118,11 @@ def _compared(made: Generator, text: str) -> str:
     return "same"
 
 
-def main() -> None:
-    """Attack for some minutes and print what came of it; end with an error at the first that is wrong."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=int(time.time()))
-    parser.add_argument("--keep-going", action="store_true", help="count what is wrong instead of ending")
-    options = parser.parse_args()
-    until, seed = time.monotonic() + 60.0 * options.minutes, options.seed
-    found: Counter[str] = Counter()
-    while time.monotonic() < until:
-        for attack in (try_program, *inputs.ATTACKS):
-            try:
-                found[f"{attack.__name__}: {attack(seed)}"] += 1
-            except AssertionError as wrong:
-                found[f"{attack.__name__}: WRONG"] += 1
-                print(f"--- {attack.__name__}({seed})\n{wrong}", flush=True)
-                if not options.keep_going:
-                    raise SystemExit(1) from None
-        seed += 1
-    print(f"seeds {options.seed} to {seed - 1}")
-    for what, count in sorted(found.items()):
-        print(f"{count:8d} {what}")
+def main() -> int:
+    """Try programs and other input files, and count what came of them."""
+    options = parser(__doc__).parse_args()
+    return try_seeds(options, try_program, *inputs.ATTACKS)
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

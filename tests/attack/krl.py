@@ -13,14 +13,10 @@ are moved and divided, and the program that the package writes runs too: its tar
 
 from __future__ import annotations
 
-import argparse
-import gc
-import itertools
 import math
 import re
 import tempfile
-import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from pathlib import Path
 from unittest.mock import patch
 
@@ -36,6 +32,7 @@ from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.frames import pose_from_xyzabc, xyzabc_from_pose
 from postproc.program import CIRC, LIN, PTP, SPL
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.attack.krl_deck import Deck
 from tests.attack.krl_generator import Generator
 from tests.attack.krl_interpreter import MOST_STEPS, Controller, Invalid, PositionUnknown, Unsaid, shown
@@ -68,8 +65,6 @@ FIRST_SEEDS = (
     *(143_750_000, 343_750_000, 143_750_000, 143_750_000, 343_750_000, 143_750_000, 143_750_000),
 )
 """First seeds of the kinds of programs: four of five are of few statements, and of these two of three are dealt."""
-_ORDINARY = 10
-"""So many ordinary programs to one with motions that stay."""
 _CHECKED = 4, 16
 """Of so many programs below `MORE`, and of others, one is checked by the grammar, which takes as long as all else."""
 SHIFTED = "the correction of the motion before it moves it too"
@@ -91,10 +86,6 @@ _INITMOV = ("cell", "cell", "bas", "cell", "cell", _SAME_TOOL, _ASKED, "cell", "
 _FEWEST_ROUNDS = 3
 _MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 """A folder in memory: to make and remove one on a disk takes a tenth of the time of a program."""
-
-
-class Wrong(AssertionError):
-    """The package and the controller do not agree."""
 
 
 def cell(folder, *, keep=False, initmov="cell"):
@@ -518,14 +509,6 @@ def damaged(seed):
     return "read"
 
 
-def seeds(first):
-    """Yield seeds from one on: after ten ordinary ones, one of a program with motions that stay."""
-    for count in itertools.count():
-        yield first + count
-        if first < KEPT and count % _ORDINARY == _ORDINARY - 1:
-            yield KEPT + first + count
-
-
 def seed_in_turn(number):
     """Return the seed of a program where all kinds follow in turn, each from the first of its seeds on."""
     cycle, place = divmod(number, len(FIRST_SEEDS))
@@ -533,45 +516,17 @@ def seed_in_turn(number):
     return kind + cycle * FIRST_SEEDS.count(kind) + FIRST_SEEDS[:place].count(kind)
 
 
+def attack_in_turn(number):
+    """Try the program of a number where all kinds follow in turn."""
+    return attack(seed_in_turn(number))
+
+
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--programs", type=int, help="end after so many")
-    parser.add_argument("--in-turn", action="store_true", help="all kinds of programs; --seed: number of the first")
-    parser.add_argument("--keep-going", action="store_true", help="count wrong programs instead of stopping")
-    arguments = parser.parse_args()
-    gc.freeze()  # what was imported stays
-    gc.set_threshold(100_000)
-    end, begun = time.monotonic() + 60.0 * arguments.minutes, time.process_time()
-    outcomes = {False: Counter(), True: Counter()}
-    last = 0
-    try:
-        chosen = map(seed_in_turn, itertools.count(arguments.seed)) if arguments.in_turn else seeds(arguments.seed)
-        for count, seed in enumerate(itertools.islice(chosen, arguments.programs), 1):
-            kind = outcomes[seed >= KEPT]
-            try:
-                kind[attack(seed)] += 1
-            except Wrong as cause:
-                kind["wrong"] += 1
-                print(cause, flush=True)
-                if not arguments.keep_going:
-                    break
-            if arguments.in_turn:
-                last = arguments.seed + count - 1
-            elif seed < KEPT or arguments.seed >= KEPT:
-                last = seed
-            if time.monotonic() > end:
-                break
-    except KeyboardInterrupt:
-        pass
-    for keep, counts in outcomes.items():
-        others = ", ".join(f"{number} {outcome}" for outcome, number in counts.most_common() if outcome != "wrong")
-        name = "with --keep-unresolved" if keep else "ordinary"
-        print(f"{counts.total():7} {name}: {counts['wrong']} wrong" + (f", {others}" if others else ""))
-    total = sum(counts.total() for counts in outcomes.values())
-    print(f"{1e3 * (time.process_time() - begun) / max(total, 1):.1f} ms of processor time each; next seed {last + 1}")
-    return any(counts["wrong"] for counts in outcomes.values())
+    """Try programs, and count what came of them."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--in-turn", action="store_true", help="all kinds of programs; --seed: number of the first")
+    options = arguments.parse_args()
+    return try_seeds(options, attack_in_turn if options.in_turn else attack)
 
 
 if __name__ == "__main__":

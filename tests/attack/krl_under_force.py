@@ -12,13 +12,9 @@ not the package's; the tool must then stand on the path of the job, and at each 
 
 from __future__ import annotations
 
-import argparse
 import re
 import tempfile
-import time
-from collections import Counter
 from functools import cache, lru_cache
-from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +25,7 @@ from postproc import robot as robots
 from postproc.cell import Frame, Tool
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.attack.krl_interpreter import Choices, Controller, Invalid, components
 from tests.attack.krl_jobs import Job
 from tests.kr270 import CELL
@@ -44,10 +41,6 @@ TURN = 4e-7
 """What five digits of degrees leave of an orientation [rad]."""
 BESIDE = 2e-6
 """How far inserted targets may stand beside the path [m]: their force is written in a comment of so many digits."""
-
-
-class Wrong(AssertionError):
-    """The corrected program does not do what the job said."""
 
 
 @cache
@@ -184,7 +177,15 @@ def compare(nominal, corrected, kept, text, waiting, warned):
                 if not same or made.kind not in kinds or not np.isclose(made.speed, motion.speed):
                     raise Wrong(f"{where}: other frames, speed or kind in line {made.line}")
                 break
-            if motion.kind != made.kind or motion.kind == "PTP" or lost or path.beside(place[:3, 3]) > BESIDE:
+            # the force falls over the last millimetre before a wait: on an arc this piece is written as chords
+            is_chord = (
+                motion.waits
+                and motion.kind == "CIRC"
+                and made.kind == "LIN"
+                and away < cell.output.force_ramp_mm / 1000
+            )
+            is_part = motion.kind != "PTP" and (motion.kind == made.kind or is_chord)
+            if not is_part or lost or path.beside(place[:3, 3]) > BESIDE:
                 raise Wrong(
                     f"{where}: line {made.line} of {made.file} leads {1e3 * path.beside(place[:3, 3]):.6f} mm beside, "
                     f"{1e3 * away:.6f} mm and {turn:.1e} from its end; force {made.force}"
@@ -356,27 +357,8 @@ def attack(seed):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--count", type=int, default=10**9)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep-going", action="store_true")
-    arguments = parser.parse_args()
-    end, outcomes = time.monotonic() + 60.0 * arguments.minutes, Counter()
-    for seed in count(arguments.seed):
-        if time.monotonic() > end or outcomes.total() >= arguments.count:
-            break
-        try:
-            outcomes[attack(seed)] += 1
-        except Wrong as cause:
-            outcomes["wrong"] += 1
-            print(cause, flush=True)
-            if not arguments.keep_going:
-                break
-    print(f"{outcomes.total()} jobs, next seed {seed}")
-    for outcome, number in outcomes.most_common():
-        print(f"{number:6} {outcome}")
-    return outcomes["wrong"] > 0
+    """Try jobs, and count what came of them."""
+    return try_seeds(parser(__doc__).parse_args(), attack)
 
 
 if __name__ == "__main__":

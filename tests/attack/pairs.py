@@ -9,9 +9,7 @@ for them.
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -19,14 +17,11 @@ import numpy as np
 from postproc.errors import PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs
 from postproc.jobs.comparison_files import CompareRequest, compare_programs
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.comparison.krl_moves import TURNED
 from tests.places import CELL_FILE
 
 FRAMES = ("BASE", "FEED", "TOOL")
-
-
-class Alarm(Exception):
-    """`compare` doubts a pair that `convert` made of one program."""
 
 
 class Programs:
@@ -145,7 +140,7 @@ def compared(nominal, corrected, forces, folder):
     return request_made.code, verdict.state, verdict.reasons, counts
 
 
-def attack(seed, folder):
+def compared_pairs(seed, folder):
     """Convert the program of a seed and compare: return its kind and what the comparisons found, by pair."""
     maker, folder = Programs(seed), Path(folder)
     dialect = maker.pick("gcode", "gcode", "krl")
@@ -169,38 +164,44 @@ def attack(seed, folder):
         pairs["nominal with forces"] = nominal, carried
     if forces is not None:
         pairs["source without forces"] = source, None
-    found = {}
+    judgements = {}
     for name, (one, loads_of_one) in pairs.items():
         try:
-            found[name] = compared(one, corrected, loads_of_one, folder / f"compared {len(found)}")
+            judgements[name] = compared(one, corrected, loads_of_one, folder / f"compared {len(judgements)}")
         except PostprocError as cause:
-            found[name] = 1, "refused", [str(cause)], {}
-    return f"{dialect}, {loads}", found
+            judgements[name] = 1, "refused", [str(cause)], {}
+    return f"{dialect}, {loads}", judgements
+
+
+def asks_for_forces(pair, why):
+    """Whether `compare` has one reason for its doubt alone: it is not given the forces of the nominal program."""
+    reasons = [why] if isinstance(why, str) else why
+    is_without = pair in ("nominal", "source without forces")
+    return is_without and bool(reasons) and all("Give" in reason and "--forces" in reason for reason in reasons)
+
+
+def attack(seed):
+    """Compare the pairs of a seed; return its kind and the number of pairs.
+
+    :raises Wrong: `compare` doubts a pair.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        kind, pairs = compared_pairs(seed, Path(name))
+    if pairs is None:
+        return "refused by convert"
+    doubts = [
+        f"{pair}: {state} {why} {counts}"
+        for pair, (code, state, why, counts) in pairs.items()
+        if any(counts.values()) or ((code, state) != (0, "ok") and not asks_for_forces(pair, why))
+    ]
+    if doubts:
+        raise Wrong("\n".join([kind, *doubts]))
+    return f"{kind}: {len(pairs)} pairs"
 
 
 def main():
-    """Compare pairs of random programs, print those that are doubted, and count."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--count", type=int, default=40)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--keep", type=Path, help="Folder in which the programs stay.")
-    options = parser.parse_args()
-    count, doubted = Counter(), Counter()
-    for seed in range(options.seed, options.seed + options.count):
-        with tempfile.TemporaryDirectory() as name:
-            folder = Path(name) if options.keep is None else options.keep / str(seed)
-            folder.mkdir(parents=True, exist_ok=True)
-            kind, found = attack(seed, folder)
-        if found is None:
-            count["refused by convert"] += 1
-            continue
-        for pair, (_, state, why, counts) in found.items():
-            count[pair] += 1
-            if state != "ok" or any(counts.values()):
-                doubted[pair] += 1
-                print(f"seed {seed} ({kind}), {pair}: {state} {why} {counts}", flush=True)
-    print(f"compared {dict(count)}, doubted {dict(doubted)}")
-    return doubted.total() > 0
+    """Compare pairs of random programs, and count."""
+    return try_seeds(parser(__doc__).parse_args(), attack)
 
 
 if __name__ == "__main__":

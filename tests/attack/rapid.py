@@ -9,12 +9,9 @@ be on the path of the module as it was, and at each of its targets. A module wit
 
 from __future__ import annotations
 
-import argparse
 import random
 import re
-import time
-from collections import Counter
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import numpy as np
@@ -28,6 +25,7 @@ from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.program import CIRC, LIN
 from postproc.under_load import RobotInCell
+from tests.attack.driver import Wrong, parser, try_seeds
 from tests.oracle.arm import Arm
 from tests.oracle.elastic import inverse, loaded_tip
 from tests.oracle.rapid import Controller, wrench
@@ -37,10 +35,6 @@ DIGITS = 1e-6
 """What four digits of mm, in single precision, and eight of quaternions leave of a place [m]."""
 BESIDE = 1.1e-5
 """The tolerance of the cell [m]: how far the loaded tool may be from the path at inserted targets."""
-
-
-class Wrong(AssertionError):
-    """The package and the controller differ."""
 
 
 @cache
@@ -357,31 +351,20 @@ def _beside(motion, start, place) -> float:
     return float(np.hypot(np.linalg.norm(off - high * normal) - np.linalg.norm(start - centre), high))
 
 
-def one(seed: int, *, correct: bool = True) -> str:
+def attack(seed: int, *, correct: bool = True) -> str:
     """Try one random module."""
     text = Generator(seed, forces=seed % 5 != 0).module()
     program = check_reading(text)
     return check_correction(text, program) if correct else "read"
 
 
-def main() -> None:
-    """Try random modules until the time is over."""
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only-read", action="store_true")
-    given = parser.parse_args()
-    end, seed, counts = time.monotonic() + 60 * given.minutes, given.seed, Counter()
-    while time.monotonic() < end:
-        try:
-            counts[one(seed, correct=not given.only_read)] += 1
-        except Exception:
-            print(f"seed {seed}")
-            raise
-        seed += 1
-    for what, number in counts.most_common():
-        print(f"{number:7} {what}")
+def main() -> int:
+    """Try modules, and count what came of them."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--only-read", action="store_true", help="correct no module")
+    options = arguments.parse_args()
+    return try_seeds(options, partial(attack, correct=not options.only_read))
 
 
 if __name__ == "__main__":
-    main()
+    raise SystemExit(main())

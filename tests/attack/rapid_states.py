@@ -10,19 +10,18 @@ tool must be on the path of the module as it was (`rapid.compare`).
 
 from __future__ import annotations
 
-import argparse
 import random
-import time
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import count
 
 from postproc.dialects.rapid.dialect import RAPID
 from postproc.dialects.text import decode
 from postproc.errors import PostprocError
 from postproc.program import Program
-from tests.attack.rapid import Wrong, check_correction, check_motions, setup
+from tests.attack.driver import Wrong, parser, try_seeds
+from tests.attack.rapid import check_correction, check_motions, setup
 from tests.oracle.rapid import Controller, Motion, UndefinedError
 
 MOST_INPUTS = 3
@@ -416,28 +415,11 @@ def attack(seed: int, *, correct: bool = False, read: Callable[[str], Program] =
 
 
 def main() -> int:
-    """Try random modules until the time is over."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--count", type=int, default=10**9)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--correct", action="store_true", help="correct and load each module too")
-    parser.add_argument("--keep-going", action="store_true")
-    options = parser.parse_args()
-    end, outcomes, seed = time.monotonic() + 60.0 * options.minutes, Counter[str](), options.seed
-    while time.monotonic() < end and outcomes.total() < options.count:
-        try:
-            outcomes[attack(seed, correct=options.correct)[:60]] += 1
-        except Wrong as cause:
-            outcomes["wrong"] += 1
-            print(cause, flush=True)
-            if not options.keep_going:
-                break
-        seed += 1
-    print(f"{outcomes.total()} programs, next seed {seed}")
-    for outcome, number in outcomes.most_common():
-        print(f"{number:7} {outcome}")
-    return outcomes["wrong"] > 0
+    """Try modules, and count what came of them."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--correct", action="store_true", help="correct and load each module too")
+    options = arguments.parse_args()
+    return try_seeds(options, partial(attack, correct=options.correct))
 
 
 if __name__ == "__main__":

@@ -8,7 +8,8 @@ import pytest
 
 from postproc.comparison import Difference
 from tests.attack import compared
-from tests.attack.compared import Silent, attack
+from tests.attack.compared import attack
+from tests.attack.driver import Wrong
 
 module = import_module("postproc.comparison.compare")
 
@@ -29,7 +30,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS)
 def test_the_attack_finds_a_comparison_that(fault, monkeypatch):
     monkeypatch.setattr(module, "differences", FAULTS[fault])
-    with pytest.raises(Silent):
+    with pytest.raises(Wrong):
         Counter(attack(seed) for seed in range(40))
 
 

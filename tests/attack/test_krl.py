@@ -11,7 +11,8 @@ from postproc.dialects.krl.read.known import NO_VALUE
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.variables import Variables
 from postproc.dialects.krl.write.named_points import NamedPoints
-from tests.attack.krl import DECK, FIRST_SEEDS, KEPT, MIXED, SNIPPETS, STATES, Wrong, attack, damaged, seed_in_turn
+from tests.attack.driver import Wrong
+from tests.attack.krl import DECK, FIRST_SEEDS, KEPT, MIXED, SNIPPETS, STATES, attack, damaged, seed_in_turn
 from tests.attack.krl_deck import SETTLED_CARDS, dealt
 from tests.attack.krl_interpreter import Controller, abc
 

@@ -10,8 +10,9 @@ from msgspec.structs import replace
 from postproc.dialects.krl.read import reader
 from postproc.toolpath import path
 from tests.attack import krl_under_force
+from tests.attack.driver import Wrong
 from tests.attack.krl_interpreter import Choices
-from tests.attack.krl_under_force import Wrong, attack
+from tests.attack.krl_under_force import attack
 
 
 def test_the_loaded_tool_goes_where_the_job_said_whatever_inputs_say():

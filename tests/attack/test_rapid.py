@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from tests.attack import rapid
-from tests.attack.rapid import Generator, Wrong, check_correction, check_reading, compare, executed
+from tests.attack.driver import Wrong
+from tests.attack.rapid import Generator, check_correction, check_reading, compare, executed
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -15,7 +16,7 @@ def test_a_random_module_is_read_as_the_controller_executes_it(seed):
 
 @pytest.mark.parametrize("seed", range(1000, 1012))
 def test_a_random_module_is_corrected(seed):
-    rapid.one(seed)
+    rapid.attack(seed)
 
 
 def test_the_modules_are_corrected_and_have_all_forms():
@@ -33,7 +34,7 @@ def test_the_modules_are_corrected_and_have_all_forms():
         "{i}",
     ):
         assert any(form in text for text in texts), form
-    assert rapid.one(1001) == "corrected"
+    assert rapid.attack(1001) == "corrected"
 
 
 def test_a_number_that_is_wrong_would_be_noticed(monkeypatch):

@@ -11,7 +11,7 @@ from postproc.dialects.rapid.effects import Effects
 from postproc.dialects.rapid.execution import Execution
 from postproc.dialects.rapid.syntax import Parameter
 from postproc.dialects.rapid.values import Scope, Variable
-from tests.attack.rapid import Wrong
+from tests.attack.driver import Wrong
 from tests.attack.rapid_states import StateGenerator, attack
 
 
