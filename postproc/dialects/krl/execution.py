@@ -1,6 +1,7 @@
-"""Execution trace of a program: loops unrolled, called routines inlined, branches.
+"""Execution of a program: its lines in execution order, with loops unrolled, called routines inlined, and branches.
 
-Reading and correction treat the rows of the trace as a straight program; `write.folding` maps them back to the files.
+These lines are the rows of the trace (`Trace`), from 1. Reading and correction treat them as a straight program;
+`write.folding` maps them back to the files.
 """
 
 from __future__ import annotations
@@ -38,9 +39,9 @@ class UnresolvedStructure(Struct, frozen=True):
 
 
 class Occasion(NamedTuple):
-    """One visit of the trace to a place, which it may reach several times.
+    """One of the times at which a line of a file runs, told from the others by the rounds of loops that are under way.
 
-    :ivar place: the place: file and line.
+    :ivar place: file and line.
     :ivar enclosing: places of enclosing loops and calls, outermost first, each with the number of its iteration.
     """
 
@@ -49,7 +50,7 @@ class Occasion(NamedTuple):
 
 
 class Fork(Struct, frozen=True):
-    """Branches follow this row; the branch taken is not known before run time."""
+    """A row behind which the program divides into branches; the branch taken is not known before run time."""
 
     row: int
     occasion: Occasion
@@ -87,14 +88,16 @@ Step = Lines | UnresolvedStructure | Fork | Branch | Join | RoutineEntry | Routi
 
 
 class Body(Struct, eq=False):
-    """Rows first … stop − 1 of the trace. Apart from `parts`, they are contiguous lines of a file.
+    """The rows of one round of a loop, or of one run of a routine: rows first … stop − 1 of the trace.
 
-    :ivar parts: unrolled loops and inlined routines in these rows, in order.
+    Apart from `loops_and_calls`, they are contiguous lines of a file.
+
+    :ivar loops_and_calls: unrolled loops and inlined routines in these rows, in order.
     """
 
     first: int
     stop: int = 0
-    parts: list[UnrolledLoop | InlinedRoutine] = []
+    loops_and_calls: list[UnrolledLoop | InlinedRoutine] = []
 
 
 class PlainBody(Struct, frozen=True, eq=False):
@@ -143,8 +146,9 @@ class PlainRounds(Struct, frozen=True, eq=False):
 
     def counter_value(self, row: int) -> int | None:
         """Return the value that a row of the trace assigns to the counter; None for rows without an assignment."""
-        round_number, remainder = divmod(row - self.first, self.length)
-        return None if remainder else self.begin + round_number * self.step
+        round_number, row_in_round = divmod(row - self.first, self.length)
+        # the first row of each round is the assignment, in place of the line of FOR
+        return self.begin + round_number * self.step if row_in_round == 0 else None
 
     def rows_of_statement(self, statement: int) -> Ints:
         """Return the rows of the trace (count,) at which the rounds run a statement of the body.
@@ -155,7 +159,7 @@ class PlainRounds(Struct, frozen=True, eq=False):
         return np.asarray(self.first + statement - self.head + self.length * np.arange(self.count))
 
     def indices(self, offset: int) -> range:
-        """Return the values of the counter plus an offset, one for each round: the indices of ``P[I+1]``."""
+        """Return the indices of the array elements that the rounds use: counter plus an offset, 1 for ``P[I+1]``."""
         begin = self.begin + offset
         return range(begin, begin + self.count * self.step, self.step)
 
@@ -202,19 +206,19 @@ class InlinedRoutine(Struct, eq=False):
 
 
 class Execution(Struct, frozen=True, eq=False):
-    """The execution trace of a program.
+    """The order in which the lines of a program run, with loops unrolled and called routines inlined.
 
     :param main: the main routine.
-    :param trace: its rows; the lines of the `.src` itself if nothing is unrolled or inlined.
-    :param steps: steps of the program, in execution order.
-    :param body: the lines of the main routine.
+    :param trace: the L lines in this order; the lines of the `.src` itself if nothing is unrolled or inlined.
+    :param steps: runs of consecutive rows, branches, and entries and exits of routines, in execution order.
+    :param body: the rows of the main routine.
     :param may_run: (L,) False for lines that do not run: branches that are not taken; None: all may run.
     :param inlined_routines: routines whose calls are followed.
     :param unchanged_routines: inlined routines that are also reached by a call that is not followed: their text must
         not change.
     :param files: other source and data files of the inlined routines.
     :param used_names: names, upper case, of programs and GLOBAL routines of all folders, if new names are needed.
-    :param count_of_row: row with an assignment to the counter of a FOR → its value; without the rows of plain rounds.
+    :param counter_of_row: row with an assignment to the counter of a FOR → its value; without the rows of plain rounds.
     :param other_callers: file of an inlined routine → other programs of the folders that name the routine.
     """
 
@@ -228,31 +232,33 @@ class Execution(Struct, frozen=True, eq=False):
     files: tuple[Document, ...] = ()
     used_names: frozenset[str] = frozenset()
     other_callers: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    count_of_row: Mapping[int, int] = field(default_factory=dict)
+    counter_of_row: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def endless_loop(self) -> UnrolledLoop | None:
         """The LOOP without EXIT at the end of the program; None if there is none."""
-        last = self.body.parts[-1] if self.body.parts else None
-        return last if isinstance(last, UnrolledLoop) and last.is_endless else None
+        # nothing runs behind it: it can only be the last
+        last_structure = self.body.loops_and_calls[-1] if self.body.loops_and_calls else None
+        return last_structure if isinstance(last_structure, UnrolledLoop) and last_structure.is_endless else None
 
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
-        """Return the value that a row of the trace assigns to the counter of a FOR.
+        """Return the value that a row of the trace (a line in execution order) assigns to the counter of a FOR.
 
         :raises KeyError: the row does not assign it.
         """
-        number = (
-            loop.plain_rounds.counter_value(row)
-            if loop.plain_rounds is not None and row < loop.plain_rounds.stop_row
-            else None
-        )
-        return self.count_of_row[row] if number is None else number
+        rounds = loop.plain_rounds
+        # plain rounds compute it; the assignment behind the last round, and other loops, are in `counter_of_row`
+        value = rounds.counter_value(row) if rounds is not None and row < rounds.stop_row else None
+        return self.counter_of_row[row] if value is None else value
 
     def counter_values(self) -> Array:
-        """Return the values (L,) that the rows of the trace assign to the counter of a FOR; NaN for other rows."""
+        """Return the values (L,) that the L rows of the trace assign to the counter of a FOR; NaN for other rows.
+
+        The trace: the lines of the program in execution order, with loops unrolled and called routines inlined.
+        """
         counter = np.full(len(self.trace), np.nan)
-        rows = np.array([*self.count_of_row], dtype=np.int64)
-        counter[rows - 1] = [*self.count_of_row.values()]
+        rows = np.array([*self.counter_of_row], dtype=np.int64)
+        counter[rows - 1] = [*self.counter_of_row.values()]  # rows count from 1
         for rounds in self.plain_rounds():
             first_rows = slice(rounds.first - 1, rounds.stop_row - 1, rounds.length)  # of each round; rows count from 1
             counter[first_rows] = rounds.begin + np.arange(rounds.count) * rounds.step
@@ -261,16 +267,18 @@ class Execution(Struct, frozen=True, eq=False):
     def rows_of(self, source: Source, lines: Ints) -> tuple[Ints, Ints]:
         """Return the rows of the trace on which some lines of a file run.
 
+        The trace: the lines of the program in execution order, with loops unrolled and called routines inlined.
+
         :param lines: (n,) lines of the file, from 1.
         :returns: rows (m,), from 1, ascending, and the index in `lines` (m,) of the line that each runs. A line that
             runs twice has two rows.
         """
         trace = self.trace
-        if trace.is_file:
+        if trace.is_file:  # rows are lines
             return lines, np.arange(len(lines))
         index_of_line = np.full(len(source.starts) + 1, -1, dtype=np.int64)
         index_of_line[lines] = np.arange(len(lines))  # −1: not among the lines
-        rows = np.flatnonzero((trace.file == trace.sources.index(source)) & ~trace.is_count)
+        rows = np.flatnonzero((trace.file == trace.sources.index(source)) & ~trace.is_counter_row)
         rows = rows[index_of_line[trace.line[rows]] >= 0]
         return rows + 1, index_of_line[trace.line[rows]]
 
@@ -286,11 +294,11 @@ class Execution(Struct, frozen=True, eq=False):
 
 def _plain_rounds(body: Body) -> Iterator[PlainRounds]:
     """Yield the plain rounds in a body, also in inlined routines and in nested loops, in execution order."""
-    for part in body.parts:
-        if isinstance(part, InlinedRoutine):
-            yield from _plain_rounds(part.body)
-        elif part.plain_rounds is not None:
-            yield part.plain_rounds
+    for structure in body.loops_and_calls:
+        if isinstance(structure, InlinedRoutine):
+            yield from _plain_rounds(structure.body)
+        elif structure.plain_rounds is not None:
+            yield structure.plain_rounds  # there is no loop and no call in plain rounds
         else:
-            for inner in part.bodies:
-                yield from _plain_rounds(inner)
+            for round_body in structure.bodies:
+                yield from _plain_rounds(round_body)

@@ -144,7 +144,7 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
 def _control_word(source: Source | Trace, line: int) -> str:
     """Return the first word of a line or row, upper case; for speed, empty for most lines without a control word."""
     if isinstance(source, Trace):
-        if source.is_count.item(line - 1):
+        if source.is_counter_row.item(line - 1):
             return ""
         source, line = source.place(line)
     node = source.statements.get(line)

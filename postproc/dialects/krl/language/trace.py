@@ -1,4 +1,4 @@
-"""The execution trace as rows: the lines of files in execution order."""
+"""The execution trace: the lines of files in execution order, loops unrolled and called routines inlined."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from postproc.program import Bools, Ints
 
 
 class Trace(Struct, frozen=True, eq=False):
-    """The L rows of an execution trace; row n, from 1, is one line of a file.
+    """The lines of a program in execution order: a line that runs three times has three rows. Rows count from 1.
 
-    A trace has no text: offsets count in the file of a row.
+    A trace has no text of its own: each row names a line of a file, and offsets count in this file.
 
     :param sources: the files, first the `.src` of the program.
     :param file: (L,) index in `sources`.
     :param line: (L,) 1-based line of this file.
-    :param shown: (L,) line of the program's own `.src` to report for the row; for rows in other files, the line of the
-        call.
-    :param is_count: (L,) True for rows that assign a number to the counter of a FOR. They are in no file; their `line`
-        is that of FOR.
+    :param reported_lines: (L,) line of the program's own `.src` to report for the row; for rows in other files, the
+        line of the call.
+    :param is_counter_row: (L,) True for rows that assign a number to the counter of a FOR. They are in no file; their
+        `line` is that of FOR.
     :param is_file: True if the trace is the `.src` itself, line by line.
     """
 
     sources: tuple[Source, ...]
     file: Ints
     line: Ints
-    shown: Ints
-    is_count: Bools
+    reported_lines: Ints
+    is_counter_row: Bools
     is_file: bool = False
 
     @classmethod
@@ -38,8 +38,14 @@ class Trace(Struct, frozen=True, eq=False):
         """Return the trace of a program whose lines run one after the other: its rows are the lines of the file."""
         count = len(source.starts)
         line = compact(np.arange(1, count + 1), np.int32)
-        file, is_count = np.broadcast_to(np.int64(0), (count,)), np.broadcast_to(np.False_, (count,))
-        return cls((source,), file, line, line, is_count, is_file=True)
+        return cls(
+            sources=(source,),
+            file=np.broadcast_to(np.int64(0), (count,)),  # all rows are in the first and only source
+            line=line,
+            reported_lines=line,
+            is_counter_row=np.broadcast_to(np.False_, (count,)),
+            is_file=True,
+        )
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -54,7 +60,7 @@ class Trace(Struct, frozen=True, eq=False):
         return Place(self.source(row), self.line.item(row - 1))
 
     def starts(self, rows: Ints) -> Ints:
-        """Return the offsets (n,) at which the lines of 1-based rows (n,) begin in their files."""
+        """Return the offsets (n,) [characters] at which the lines of 1-based rows (n,) begin in their files."""
         file, line = self.file[rows - 1], self.line[rows - 1]
         starts = np.zeros(len(rows), dtype=np.int64)
         for number, source in enumerate(self.sources):
@@ -62,9 +68,9 @@ class Trace(Struct, frozen=True, eq=False):
             starts[in_file] = source.starts[line[in_file] - 1]
         return starts
 
-    def shown_line(self, row: int) -> int:
+    def reported_line(self, row: int) -> int:
         """Return the line of the program's own `.src` to report for a 1-based row."""
-        return self.shown.item(row - 1)
+        return self.reported_lines.item(row - 1)
 
     def error(self, problem: str, row: int, advice: str | None = None) -> ProgramError:
         """Return an error about a 1-based row that names the file, the line and its text."""

@@ -321,9 +321,9 @@ def remarks(execution: Execution, motions: Ints) -> tuple[Event, ...]:
         comment = _COMMENT.match(source.text, start)
         name = _FOLD.sub("", comment[0]).strip(" \t-=*") if comment else ""
         if comment and name and not _EDITOR_COMMENT.match(comment[0].rstrip()):
-            shown_line = execution.trace.shown_line(row)
+            reported_line = execution.trace.reported_line(row)
             next_motion = int(np.searchsorted(motions, row))
-            events.append(Event(before=next_motion, kind="comment", line=shown_line, text=name))
+            events.append(Event(before=next_motion, kind="comment", line=reported_line, text=name))
     return tuple(events)
 
 

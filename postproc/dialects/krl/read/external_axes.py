@@ -57,7 +57,7 @@ def external_axes(
         # the motion is its own predecessor if its start is not known: a warning says so already
         has_open_start = predecessors is not None and predecessors[row] == row
         if rows.kind[row] != PTP and not has_open_start:
-            issues.append(_assumed_start_warning(float(end[row]), trace.shown_line(int(rows.line[row]))))
+            issues.append(_assumed_start_warning(float(end[row]), trace.reported_line(int(rows.line[row]))))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
@@ -86,8 +86,8 @@ def _fixed_axis_warnings(
             change = f"from {values[given_rows[0]]:g} to {values[moved_rows[0]]:g}"
             raise _motion_error(trace, axis, change, int(line[moved_rows[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
-            shown_line = trace.shown_line(int(line[given_rows[0]]))
-            issues.append(_fixed_axis_warning(axis, values[given_rows[0]], shown_line, len(given_rows)))
+            reported_line = trace.reported_line(int(line[given_rows[0]]))
+            issues.append(_fixed_axis_warning(axis, values[given_rows[0]], reported_line, len(given_rows)))
     return issues
 
 

@@ -239,7 +239,7 @@ class Flow:
         """Set `Run.row` to the row of the trace with a line (from 1) of the present routine."""
         run = self.run
         if self.recorder is not None and self.recorder.is_final:
-            run.shift, run.shown_line = self.recorder.shift_and_shown_line(line)
+            run.shift, run.recorded_line = self.recorder.shift_and_reported_line(line)
         run.row = line + run.shift
 
     def _follow_noting_errors(self, place: Place, stmt: tree.Statement) -> None:

@@ -146,7 +146,7 @@ def _initial_frame_warnings(
             "warning",
             "initial-frames",
             message,
-            main.run.trace.shown_line(rows.line.item(affected_rows[0])) if len(affected_rows) else None,
+            main.run.trace.reported_line(rows.line.item(affected_rows[0])) if len(affected_rows) else None,
             subject=name,
             count=len(affected_rows),
         )
@@ -181,7 +181,7 @@ def refuse_routines_under_force(run: Run, notes: Sequence[tuple[int, ForceNote]]
 def unfollowed_calls(run: Run) -> tuple[UnfollowedCall, ...]:
     """Return the calls of routines that are not followed and that may move under force, each with its error."""
     return tuple(
-        UnfollowedCall(run.trace.shown_line(call.row), _uncorrected_error(run, call))
+        UnfollowedCall(run.trace.reported_line(call.row), _uncorrected_error(run, call))
         for call in run.untraced_calls
         if run.analysis.may_carry_force(call.module, call.routine)
     )

@@ -134,7 +134,7 @@ def _execution(start: Start, *, collects: bool) -> tuple[Execution, CollectedMot
     has_faulty_name = any(fault_of(routine.name) for routine in (main, *execution.inlined_routines))
     if not has_all_motions or has_open_part or has_faulty_name:
         return execution, None
-    run.trace, run.shown_line = execution.trace, 0  # 0: the trace has the line to report
+    run.trace, run.recorded_line = execution.trace, 0  # 0: the trace has the line to report
     return execution, collected_motions
 
 
@@ -434,7 +434,7 @@ class MainRoutine:
         row = _first_row(node)
         place = self.run.go_to_row(row)
         if number is None:
-            number = self.execution.count_of_row.get(row)
+            number = self.execution.counter_of_row.get(row)
         if number is None:  # the row does not set a counter
             # `Flow` takes lines of the file in place of rows
             file_node = node.shifted(-self.run.shift) if isinstance(node, Block) else place.line
@@ -501,7 +501,7 @@ class MainRoutine:
         for row in range(first, last + 1):
             source, line = trace.place(row)
             start, stop = source.code_span(line)
-            has_code = start < stop or trace.is_count[row - 1]  # the latter: the row sets the counter of a FOR
+            has_code = start < stop or trace.is_counter_row[row - 1]  # the latter: the row sets the counter of a FOR
             if has_code and row not in self._trigger_lines:
                 return False
         return True
@@ -587,7 +587,7 @@ def _split_plain_settings(
 
 def _rows_with_code(trace: Trace, rows: Ints) -> list[int]:
     """Return the rows of a trace that have code, of some rows (n,), in order; each line of a file is examined once."""
-    has_code = trace.is_count[rows - 1].copy()  # rows that set the counter of a FOR
+    has_code = trace.is_counter_row[rows - 1].copy()  # rows that set the counter of a FOR
     file, line = trace.file[rows - 1], trace.line[rows - 1]
     for number, source in enumerate(trace.sources):
         indices = np.flatnonzero((file == number) & ~has_code)

@@ -280,7 +280,7 @@ def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
     return Motions(
         kind=rows.kind,
         rapid=rows.kind == PTP,
-        line=trace.shown[rows.line - 1],
+        line=trace.reported_lines[rows.line - 1],
         target=ends.pose,
         joints=ends.joints,
         centre=circles.centre,
@@ -759,7 +759,7 @@ def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and "
         "does not count in the check of the tolerance."
     )
-    line = trace.shown[rows.line[speed_rows] - 1]
+    line = trace.reported_lines[rows.line[speed_rows] - 1]
     lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 

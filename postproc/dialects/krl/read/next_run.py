@@ -118,7 +118,7 @@ class _LaterRuns:
                 motions = ordered_motions(later, plain_lines.motions)
                 row = _first_difference(first_run.settings, self._first, later.run.settings, motions)
             if row is not None:
-                return FollowedRun(main.execution.trace.shown_line(row))
+                return FollowedRun(main.execution.trace.reported_line(row))
         except ProgramError as cause:  # the run cannot be followed
             return FollowedRun(cause.line or first_run.routine.first)
         self._last_variables = later.run.settings.variables

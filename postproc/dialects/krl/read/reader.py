@@ -258,7 +258,7 @@ class _Reading(Struct, frozen=True, eq=False):
             tool_keys=_tool_keys(run.settings),
             events=(*remarks(execution, layout.line), *self._waits(run, execution, layout.line)),
             notes=tuple(note for _, note in order.notes),
-            still=execution.trace.shown[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
+            still=execution.trace.reported_lines[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
             carriage=layout.carriage,
             turns_with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
@@ -284,7 +284,7 @@ class _Reading(Struct, frozen=True, eq=False):
         times = waits(execution, self._routines(), run.waiting_calls)
         kept_lines = [line for line, _ in run.unresolved_motions]
         for row, motion in motions_before(execution, line, kept_lines, times) if times else ():
-            yield Event(before=motion + 1, kind="dwell", line=execution.trace.shown_line(row), value=times[row])
+            yield Event(before=motion + 1, kind="dwell", line=execution.trace.reported_line(row), value=times[row])
 
     def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
         """Return which motions of a program follow each other, and under which force comments.
@@ -448,7 +448,7 @@ def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
     main, start = executed_program.main, executed_program.start
     if main.reader.home_motion_row:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        line = main.execution.trace.shown_line(main.reader.home_motion_row)
+        line = main.execution.trace.reported_line(main.reader.home_motion_row)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.used_cell_values:
         cell_values = start.cell.krl.values

@@ -189,7 +189,7 @@ class Run:
     :ivar has_rows: True if `row` is a row of the trace while statements run; False if it is a line of the `.src`.
     :ivar row: the present row of the trace.
     :ivar shift: row of the present statement minus its line in the file, if the statement is traced.
-    :ivar shown_line: line of the program's own `.src` to report for the present row; 0 if the trace is complete: the
+    :ivar recorded_line: line of the program's own `.src` to report for the present row; 0 if the trace is complete: the
         trace has the line then.
     :ivar is_final: False if the statements must run once more when the trace is complete.
     :ivar statement_place: the statement that runs, in the file of its routine; None before the first.
@@ -226,7 +226,7 @@ class Run:
         self.trace, self.has_rows, self.variables = trace, has_rows, settings.variables
         self.scopes = Scopes(library.program, routine, self.variables)
         self.analysis = Analysis(library, self.scopes.scope_of)
-        self.row = self.shift = self.shown_line = 0
+        self.row = self.shift = self.recorded_line = 0
         self.is_final = True
         self.statement_place: Place | None = None
         self.level = Level(library.program, routine, Scope(), is_traced=True)
@@ -300,7 +300,7 @@ class Run:
     @property
     def reported_line(self) -> int:
         """Line of the program's own `.src` to report for the present line."""
-        return self.shown_line or self.trace.shown_line(self.row)
+        return self.recorded_line or self.trace.reported_line(self.row)
 
     def begin_fork(self) -> None:
         """Store the present values and settings, before the branches of a fork are followed one after the other."""

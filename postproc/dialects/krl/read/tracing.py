@@ -37,13 +37,13 @@ class _OpenRoutine(Struct, eq=False):
     """A routine of the trace that has not ended yet.
 
     :ivar cursor: first line of the routine that is not recorded yet.
-    :ivar shown_line: line of the `.src` to report for all lines of the routine; 0: each line itself.
+    :ivar reported_line: line of the `.src` to report for all lines of the routine; 0: each line itself.
     :ivar bodies: body of the routine, and bodies of its loops that have not ended, the innermost last.
     """
 
     source: Source
     cursor: int
-    shown_line: int
+    reported_line: int
     bodies: list[Body] = []
 
 
@@ -52,7 +52,7 @@ class _Piece(NamedTuple):
 
     :ivar file_number: index of the file in the files of the trace.
     :ivar first: line of the first row; `last` is the line of the last row.
-    :ivar shown_line: line of the `.src` to report for all rows; 0: the line of each row itself.
+    :ivar reported_line: line of the `.src` to report for all rows; 0: the line of each row itself.
     :ivar is_live: True if the rows run.
     :ivar for_line: line of the FOR whose counter the only row sets; 0 for rows that are lines of the file.
     """
@@ -60,7 +60,7 @@ class _Piece(NamedTuple):
     file_number: int
     first: int
     last: int
-    shown_line: int
+    reported_line: int
     is_live: bool
     for_line: int = 0
 
@@ -110,7 +110,7 @@ class Recorder:
         self.body = Body(self.row_count + 1)
         self._open_routines = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
-    def shift_and_shown_line(self, line: int) -> tuple[int, int]:
+    def shift_and_reported_line(self, line: int) -> tuple[int, int]:
         """Return for a line of the present routine its row of the trace minus the line, and the line to report.
 
         :param line: a line that will be recorded next, or after lines up to it.
@@ -119,7 +119,7 @@ class Recorder:
         """
         open_routine = self._open_routines[-1]
         next_row = self.row_count + 1  # that of line `cursor`
-        return next_row - open_routine.cursor, open_routine.shown_line or line
+        return next_row - open_routine.cursor, open_routine.reported_line or line
 
     def record_run_lines(self, line: int) -> None:
         """Record the lines of the present routine up to `line` that are not recorded yet, as lines that run."""
@@ -161,7 +161,7 @@ class Recorder:
             file_count=len(self._files),
             last_step=self._steps[-1] if self._steps else None,
             open_routines=[
-                (routine.cursor, len(routine.bodies), [len(body.parts) for body in routine.bodies])
+                (routine.cursor, len(routine.bodies), [len(body.loops_and_calls) for body in routine.bodies])
                 for routine in self._open_routines
             ],
         )
@@ -188,7 +188,7 @@ class Recorder:
             open_routine.cursor = cursor
             del open_routine.bodies[body_count:]
             for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
-                del body.parts[part_count:]
+                del body.loops_and_calls[part_count:]
 
     def enter_routine(self, place: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin a routine that the present routine calls.
@@ -200,10 +200,10 @@ class Recorder:
         self.record_passed_lines(place.line)
         self._steps.append(RoutineEntry(self.row_count, module, routine))
         body = Body(self.row_count + 1)
-        caller.bodies[-1].parts.append(InlinedRoutine(self.row_count, name, routine, body))
+        caller.bodies[-1].loops_and_calls.append(InlinedRoutine(self.row_count, name, routine, body))
         is_in_main_file = routine.source is self.main.source
-        shown_line = 0 if is_in_main_file else caller.shown_line or place.line
-        self._open_routines.append(_OpenRoutine(routine.source, routine.first + 1, shown_line, [body]))
+        reported_line = 0 if is_in_main_file else caller.reported_line or place.line
+        self._open_routines.append(_OpenRoutine(routine.source, routine.first + 1, reported_line, [body]))
         self._inlined[routine] = None
         if not is_in_main_file:
             self._files |= {file.document: None for file in (module.source, module.data) if file is not None}
@@ -232,7 +232,7 @@ class Recorder:
             has_exit=has_exit,
             first=self.row_count + 1,
         )
-        self._open_routines[-1].bodies[-1].parts.append(loop)
+        self._open_routines[-1].bodies[-1].loops_and_calls.append(loop)
         return loop
 
     def begin_round(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
@@ -259,7 +259,7 @@ class Recorder:
         """
         routine = self._open_routines[-1]
         body_lines = _Piece(
-            self._file_number(routine.source), block.first + 1, block.last - 1, routine.shown_line, is_live=True
+            self._file_number(routine.source), block.first + 1, block.last - 1, routine.reported_line, is_live=True
         )
         self._pieces += [self._assignment_piece(block), body_lines] * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
@@ -314,13 +314,13 @@ class Recorder:
         columns = np.array(self._pieces, dtype=np.int64).T  # one for each field of `_Piece`
         _, first_lines, last_lines, *_ = columns
         lengths = last_lines - first_lines + 1
-        file, first, _, shown_line, is_live, for_line = (np.repeat(values, lengths) for values in columns)
-        # rows of a piece are consecutive lines; 0 in `for_line` or `shown_line`: the line of the row itself
+        file, first, _, reported_line, is_live, for_line = (np.repeat(values, lengths) for values in columns)
+        # rows of a piece are consecutive lines; 0 in `for_line` or `reported_line`: the line of the row itself
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
-        shown = np.where(shown_line > 0, shown_line, line)
+        reported_lines = np.where(reported_line > 0, reported_line, line)
         return Execution(
             main=main,
-            trace=Trace(tuple(self._sources), file, line, shown, for_line > 0),
+            trace=Trace(tuple(self._sources), file, line, reported_lines, for_line > 0),
             steps=tuple(self._steps),
             body=self.body,
             may_run=is_live.astype(np.bool_),
@@ -329,7 +329,7 @@ class Recorder:
                 self._inlined if self.may_call_originals else self._inlined.keys() & unfollowed_routines
             ),
             files=tuple(self._files),
-            count_of_row=dict(self._counter_values),
+            counter_of_row=dict(self._counter_values),
         )
 
     def _record_up_to(self, line: int, *, is_live: bool) -> bool:
@@ -341,20 +341,20 @@ class Recorder:
         open_routine = self._open_routines[-1]
         if line < open_routine.cursor:
             return False
-        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.shown_line, is_live=is_live)
+        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.reported_line, is_live=is_live)
         open_routine.cursor = line + 1
         return True
 
-    def _record_lines(self, source: Source, first: int, last: int, shown_line: int, *, is_live: bool) -> None:
+    def _record_lines(self, source: Source, first: int, last: int, reported_line: int, *, is_live: bool) -> None:
         """Add the lines first … last of a file to the trace, one row for each; nothing if last < first.
 
         :param source: the file.
-        :param shown_line: line of the `.src` to report for all these lines; 0: each line itself.
+        :param reported_line: line of the `.src` to report for all these lines; 0: each line itself.
         :param is_live: True if the lines run.
         """
         if last < first:
             return
-        self._pieces.append(_Piece(self._file_number(source), first, last, shown_line, is_live))
+        self._pieces.append(_Piece(self._file_number(source), first, last, reported_line, is_live))
         self.row_count += last - first + 1
 
     def _file_number(self, source: Source) -> int:
@@ -378,7 +378,7 @@ class Recorder:
         """Return the row that sets the counter of a FOR of the present routine: its line is that of the FOR."""
         routine = self._open_routines[-1]
         number = self._file_number(routine.source)
-        return _Piece(number, 1, 1, routine.shown_line, is_live=True, for_line=block.first)  # 1 … 1: one row
+        return _Piece(number, 1, 1, routine.reported_line, is_live=True, for_line=block.first)  # 1 … 1: one row
 
     def _add_lines_step(self, first_row: int) -> None:
         """Add the rows from `first_row` on as a step: to `Lines` that end directly before, or as new `Lines`."""

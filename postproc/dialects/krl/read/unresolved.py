@@ -196,7 +196,7 @@ def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
     sync_lines = []
     for row in range(execution.body.first, execution.body.stop):
         # rows that set the counter of a FOR are no lines of the file
-        if not trace.is_count[row - 1] and (execution.may_run is None or execution.may_run[row - 1]):
+        if not trace.is_counter_row[row - 1] and (execution.may_run is None or execution.may_run[row - 1]):
             word = _sync_word(*trace.place(row), words.names, is_entered=row in entry_rows)
             if word:
                 only_waits = not words.may_run_later and (words.only_wait or word == _WAIT_WORD)
@@ -321,14 +321,14 @@ def _report_unresolved(
         origin = main.run.trace.place(line)
         if str(origin) in by_place:  # a line that runs more than once
             continue
-        shown_line: int | None = main.run.trace.shown_line(line)
+        reported_line: int | None = main.run.trace.reported_line(line)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
         by_place[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
         suffix = _SHIFT_TEXT if _depends_on_position(main, line, reason) else ""
         is_in_other_file = origin.source is not main.run.routine.source
-        prefix, shown_line = (f"{origin}: ", None) if is_in_other_file else ("", shown_line)
+        prefix, reported_line = (f"{origin}: ", None) if is_in_other_file else ("", reported_line)
         message = f"{prefix}stays as it is, uncorrected: {text!r} ({reason.problem}){suffix}"
-        issues.append(Issue("warning", "unresolved", message, shown_line, subject=str(origin)))
+        issues.append(Issue("warning", "unresolved", message, reported_line, subject=str(origin)))
     return tuple(by_place.values()), issues
 
 
@@ -356,5 +356,5 @@ def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, start_rows
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN_START_MESSAGE}", subject=name)
     if own_lines:
-        lines = distinct(trace.shown[np.array(own_lines) - 1]).tolist()
+        lines = distinct(trace.reported_lines[np.array(own_lines) - 1]).tolist()
         yield Issue("warning", "start-unknown", _OPEN_START_MESSAGE, lines[0], count=len(own_lines), lines=tuple(lines))

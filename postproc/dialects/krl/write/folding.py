@@ -169,7 +169,7 @@ class _Folder(Struct, eq=False):
         if key is None:
             changes: list[tuple[int, object]] = []
             row = body.first
-            for part in body.parts:
+            for part in body.loops_and_calls:
                 part_begin, part_end = (
                     (part.row, part.body.stop) if isinstance(part, InlinedRoutine) else (part.first, part.stop)
                 )
@@ -204,7 +204,7 @@ class _Folder(Struct, eq=False):
             return keys[0] if keys else self._key_of_lines(loop)
         head = loop.opener.strip()
         message = f"The rounds of {head} are corrected differently: they are written out, but for those that are alike."
-        line = self.execution.trace.shown_line(loop.first)
+        line = self.execution.trace.reported_line(loop.first)
         self.issues.append(Issue("info", "loop-written-out", message, line, subject=f"{head} {line}"))
         end = self.execution.counter_value(loop, loop.bodies[-1].stop) if self._sets_counter(loop) else None
         return ("rounds", end, *zip(self._counter_values(loop), keys, strict=True))
@@ -258,7 +258,7 @@ class _Folder(Struct, eq=False):
         :param begin: first row of the trace to write; 0: the first row of the body.
         """
         pieces, row = [], begin or body.first
-        for part in body.parts:
+        for part in body.loops_and_calls:
             if isinstance(part, InlinedRoutine):
                 pieces += [self._rows_piece(row, part.row), self._call_piece(part)]
                 row = part.body.stop
@@ -381,7 +381,7 @@ class _Folder(Struct, eq=False):
         if routine in self.execution.unchanged_routines:
             reason = "is also called where calls are not followed, and stays as it is there"
         message = f"{spelling}() {reason}: this one calls its copy {name}()."
-        line = self.execution.trace.shown_line(call.row)
+        line = self.execution.trace.reported_line(call.row)
         self.issues.append(Issue("info", "routine-copied", message, line, subject=name))
         return name
 

@@ -186,7 +186,7 @@ def mentions(execution: Execution, plain_rows: Ints) -> Mentions:
     :param plain_rows: rows that name no points; they are skipped.
     """
     trace, places = execution.trace, defaultdict[str, list[tuple[int, int]]](list)
-    is_left_out = trace.is_count.copy()
+    is_left_out = trace.is_counter_row.copy()
     is_left_out[plain_rows - 1] = True
     names: dict[Place, list[tuple[str, int]]] = {}
     for row in (np.flatnonzero(~is_left_out) + 1).tolist():

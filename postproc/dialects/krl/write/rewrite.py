@@ -189,7 +189,7 @@ class _Rewriter:
         new_rows = edited_rows(self.trace, changes)
         folded_program = fold(execution, execution.main, new_rows)
         files |= {document.name: document for document in folded_program.documents}
-        self.issues = [*map(self._with_shown_line, self.issues), *folded_program.issues]
+        self.issues = [*map(self._with_reported_line, self.issues), *folded_program.issues]
         trace_row = self.layout.line[self.motion_of_target]
         # number of lines between the first line of the corrected row of the motion and the line of the target
         following_count = line - (new_rows.begins[trace_row - 1] + 1)
@@ -197,11 +197,11 @@ class _Rewriter:
             folded_program.is_in_main[trace_row], following_count, 0
         )
 
-    def _with_shown_line(self, issue: Issue) -> Issue:
+    def _with_reported_line(self, issue: Issue) -> Issue:
         """Return an issue with the line of the `.src` to report for its row of the trace; unchanged without a row."""
         if issue.source_line is None:
             return issue
-        return replace(issue, source_line=self.trace.shown_line(issue.source_line))
+        return replace(issue, source_line=self.trace.reported_line(issue.source_line))
 
     def _has_one_target(self) -> Bools:
         """Return whether a motion (M,) has a single target, whose text has all components that it needs."""
