@@ -30,19 +30,20 @@ class Lines(Struct, frozen=True):
 class UnresolvedStructure(Struct, frozen=True):
     """A control structure on rows first … last of the trace whose branch taken is not known before run time.
 
-    :ivar why: reason, as the error that is raised if it matters.
+    :ivar reason: why it is not known, as the error that is raised if a motion depends on it.
     """
 
     first: int
     last: int
-    why: ProgramError
+    reason: ProgramError
 
 
-class Occasion(NamedTuple):
-    """One of the times at which a line of a file runs, told from the others by the rounds of loops that are under way.
+class ForkVisit(NamedTuple):
+    """One visit of the execution trace to a fork, which it may reach several times, in loops and by calls.
 
-    :ivar place: file and line.
-    :ivar enclosing: places of enclosing loops and calls, outermost first, each with the number of its iteration.
+    :ivar place: file and line of the IF or SWITCH.
+    :ivar enclosing: places of enclosing loops and calls, outermost first, each with the number of its iteration, from
+        1; 0 for a call.
     """
 
     place: Place
@@ -53,7 +54,7 @@ class Fork(Struct, frozen=True):
     """A row behind which the program divides into branches; the branch taken is not known before run time."""
 
     row: int
-    occasion: Occasion
+    visit: ForkVisit
 
 
 class Branch(Struct, frozen=True):

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from postproc.dialects.krl.execution import Branch, Fork, Join, Occasion, PlainBody, PlainRounds, UnrolledLoop
+from postproc.dialects.krl.execution import Branch, Fork, ForkVisit, Join, PlainBody, PlainRounds, UnrolledLoop
 from postproc.dialects.krl.language import tree
 from postproc.dialects.krl.language.expressions import calls
 from postproc.dialects.krl.language.parser import statement
@@ -467,10 +467,10 @@ class Flow:
         try:
             part_index = self._part_taken(source, block)
         except InexactError as cause:
-            occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
-            if recorder is None or occasion in self.run.obstacles:  # branches that could not be corrected before
+            fork_visit = ForkVisit(Place(source, block.first), tuple(self._enclosing))
+            if recorder is None or fork_visit in self.run.obstacles:  # branches that could not be corrected before
                 raise
-            self._follow_branches(source, block, recorder, occasion, cause)
+            self._follow_branches(source, block, recorder, fork_visit, cause)
             return
         part = block.parts[part_index] if part_index >= 0 else None
         if recorder is not None:
@@ -499,11 +499,11 @@ class Flow:
         recorder.record_passed_lines(block.last)
 
     def _follow_branches(
-        self, source: Source, block: Block, recorder: Recorder, occasion: Occasion, cause: InexactError
+        self, source: Source, block: Block, recorder: Recorder, fork_visit: ForkVisit, cause: InexactError
     ) -> None:
         """Follow all branches of an IF or SWITCH, each with the values at the fork.
 
-        :param occasion: the visit to the structure.
+        :param fork_visit: the visit to the structure.
         :param cause: the error that the branch taken is not known.
         :raises InexactError: a branch is left before its end, a condition calls a function that changes something, or
             there are too many forks.
@@ -518,7 +518,7 @@ class Flow:
             raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
-        recorder.record_division(Fork(0, occasion))  # 0: the row is filled in
+        recorder.record_division(Fork(0, fork_visit))  # 0: the row is filled in
         run.begin_fork()
         branches = block.parts[1:] if block.word == "SWITCH" else block.parts  # part 0 precedes the first CASE
         for part in branches:
@@ -552,14 +552,14 @@ class Flow:
             return 0
         part = block.parts[0]
         next_index, end = self._jump_target(source, nodes, index, part.nodes[-1:], ends_routine=ends_routine)
-        occasion = Occasion(Place(source, block.first), tuple(self._enclosing))
-        if not next_index or self._is_part_known(source, block) or occasion in run.obstacles:
+        fork_visit = ForkVisit(Place(source, block.first), tuple(self._enclosing))
+        if not next_index or self._is_part_known(source, block) or fork_visit in run.obstacles:
             return 0
         undo = self._undo_function(recorder)
         try:
             recorder.record_run_lines(block.first - 1)
             recorder.record_passed_lines(part.head)
-            recorder.record_division(Fork(0, occasion))  # 0: the row is filled in
+            recorder.record_division(Fork(0, fork_visit))  # 0: the row is filled in
             run.begin_fork()
             # one branch: the statements of the IF up to its jump
             self._follow_branch(source, part.nodes[:-1], recorder, ends_routine=False)

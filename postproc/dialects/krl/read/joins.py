@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, Occasion, UnrolledLoop
+from postproc.dialects.krl.execution import Branch, Execution, Fork, ForkVisit, Join, UnrolledLoop
 from postproc.dialects.krl.layout import CONSTANT, Layout
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
@@ -41,10 +41,10 @@ _FORCE_ADVICE = "Write a force comment, such as FORCE OFF, before the first moti
 class BranchError(ProgramError):
     """Branches cannot be corrected.
 
-    :ivar occasions: the visits to all forks whose branches cannot be corrected.
+    :ivar fork_visits: the visits to all forks whose branches cannot be corrected.
     """
 
-    occasions: frozenset[Occasion]
+    fork_visits: frozenset[ForkVisit]
 
 
 class _Fault(NamedTuple):
@@ -487,8 +487,8 @@ def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
     base = execution.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     forks = {fault.fork for fault in faults}
-    error.occasions = frozenset(
-        step.occasion for step in execution.steps if isinstance(step, Fork) and step.row in forks
+    error.fork_visits = frozenset(
+        step.visit for step in execution.steps if isinstance(step, Fork) and step.row in forks
     )
     raise error
 

@@ -17,9 +17,9 @@ from postproc.dialects.krl.execution import (
     Branch,
     Execution,
     Fork,
+    ForkVisit,
     Join,
     Lines,
-    Occasion,
     PlainRounds,
     RoutineEntry,
     UnresolvedStructure,
@@ -68,7 +68,7 @@ class Start(Struct, frozen=True, eq=False):
 
     library: Library
     main: Routine
-    obstacles: Mapping[Routine | Occasion, ProgramError]
+    obstacles: Mapping[Routine | ForkVisit, ProgramError]
     variables: Variables
     cell: Cell
     joints: tuple[float, ...]
@@ -538,7 +538,7 @@ class MainRoutine:
                 self._flow.follow_roughly(place.source, node.shifted(-run.shift))
         motion_lines = self._plain_motion_lines  # ascending
         first, stop = np.searchsorted(motion_lines, [step.first, step.last + 1])
-        run.unresolved_motions += [(line, step.why) for line in motion_lines[first:stop].tolist()]
+        run.unresolved_motions += [(line, step.reason) for line in motion_lines[first:stop].tolist()]
         run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # the last reason for each line
 
     def _note_fault(self, place: Place, cause: ProgramError) -> None:

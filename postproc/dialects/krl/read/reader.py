@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.dialects.krl.execution import Execution, Join, Occasion
+from postproc.dialects.krl.execution import Execution, ForkVisit, Join
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import Source
@@ -117,7 +117,7 @@ def _read_program(
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
     code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other_line(len(source.starts))) + 1).tolist())
     reading = _Reading(documents, cell, kinematics, name, library=library, entry=entry, faults=faults, code=code)
-    obstacles: dict[Routine | Occasion, ProgramError] = {}
+    obstacles: dict[Routine | ForkVisit, ProgramError] = {}
     while True:
         try:
             return reading.program(
@@ -155,7 +155,7 @@ class _Reading(Struct, frozen=True, eq=False):
     code: str
 
     def follow(
-        self, plain_lines: PlainLines, obstacles: Mapping[Routine | Occasion, ProgramError], *, bulk: bool
+        self, plain_lines: PlainLines, obstacles: Mapping[Routine | ForkVisit, ProgramError], *, bulk: bool
     ) -> _ExecutedProgram:
         """Follow the program, and read its motions.
 
@@ -464,14 +464,14 @@ def _is_data_of(data: Document, source: Document) -> bool:
 
 def _uncorrectable_parts(
     cause: ProgramError, library: Library, *, keeps_branches: bool
-) -> frozenset[Routine | Occasion]:
+) -> frozenset[Routine | ForkVisit]:
     """Return the routines of other files, or the visits to forks, that are left uncorrected because of an error.
 
     :param keeps_branches: True if motions in branches may be left uncorrected (`--keep-unresolved`).
     :returns: empty if the error is in the program itself, which is then refused.
     """
     if isinstance(cause, BranchError) and keeps_branches:
-        return cause.occasions
+        return cause.fork_visits
     if isinstance(cause, InexactError) and cause.routine is not None:
         return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
     files = {error.file for error in (cause, *cause.further_errors)}
@@ -484,7 +484,7 @@ def _uncorrectable_parts(
     )
 
 
-def _error_of_culprit(cause: ProgramError, culprit: Routine | Occasion) -> ProgramError:
+def _error_of_culprit(cause: ProgramError, culprit: Routine | ForkVisit) -> ProgramError:
     """Return the first error that is in the file of a routine: `cause` or one of its `further_errors`.
 
     :param culprit: the routine; or a visit to a fork.

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from msgspec import Struct
 from msgspec.structs import replace
 
-from postproc.dialects.krl.execution import Occasion
+from postproc.dialects.krl.execution import ForkVisit
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import CONTROLLER_DATA
 from postproc.dialects.krl.language.routines import Module, Routine
@@ -248,7 +248,7 @@ class Run:
         self.issues: list[Issue] = []
         self.keeps_unresolved = settings.cell.krl.keep_unresolved
         self.unresolved_motions: list[tuple[int, ProgramError]] = []
-        self.obstacles: Mapping[Routine | Occasion, ProgramError] = {}
+        self.obstacles: Mapping[Routine | ForkVisit, ProgramError] = {}
         self._forks: list[_Fork] = []
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
