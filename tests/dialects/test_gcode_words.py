@@ -49,7 +49,7 @@ def test_plain_blocks_have_the_words_that_pygcode_reads(text: str) -> None:
     source = split(AT_X1_Y2_Z3 + "\n" + text)
     found, odd = words.read_plain(source)
     for row in set(range(len(source))) - set(odd.tolist()):
-        code = source.line(row).replace(words.MARK, " ").replace("+", "").replace(".G", " G")
+        code = source.line(row).replace(words.COMMENT_MARK, " ").replace("+", "").replace(".G", " G")
         expected = {word.letter: float(word.value) for word in Block(code).words if word.letter != "N"}
         columns = {letter: found.column(letter)[row] for letter in words.COLUMNS}
         words_of_line = {letter: value for letter, value in columns.items() if not np.isnan(value)}

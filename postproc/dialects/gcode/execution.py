@@ -22,8 +22,8 @@ from msgspec.structs import replace
 
 from postproc.chunks import compact, ragged_range
 from postproc.dialects.gcode.expressions import Parameters, nearest_integer
-from postproc.dialects.gcode.structure import Block, Order, Unit, end_words, is_controlled
-from postproc.dialects.gcode.words import CUT_SHORT, MARK, BlockError, Fault, Source, line_feeds, split
+from postproc.dialects.gcode.structure import Block, OWord, ProgramFile, end_words, needs_execution
+from postproc.dialects.gcode.words import COMMENT_MARK, EARLY_PERCENT, BlockError, Fault, Source, line_feeds, split
 from postproc.dialects.text import decode
 from postproc.errors import MAX_ERRORS, ProgramError, SubprogramError
 from postproc.program import Document, Ints, constant
@@ -51,71 +51,79 @@ class ExecutedProgram(Struct, frozen=True, eq=False):
     after_end: tuple[int, ...] = ()
 
 
-class Piece(NamedTuple):
-    """Lines of a file that are executed one after the other.
+class LineRange(NamedTuple):
+    """Consecutive lines of a file that are executed one after the other.
 
-    :param unit: index of the file.
+    :param file_index: index of the file.
     :param first: row of the first line; `last`: row after the last line.
     :param main_row: row of the program from which the file was called; −1 for lines of the program itself.
     :param text: the executed words of a single line, if they differ from those of the file.
     """
 
-    unit: int
+    file_index: int
     first: int
     last: int
     main_row: int
     text: str | None = None
 
 
-def join_pieces(units: Sequence[Unit], pieces: Sequence[Piece], faults: Sequence[Fault], end: int) -> ExecutedProgram:
-    """Return pieces, given in execution order, as one program.
+def joined_program(
+    files: Sequence[ProgramFile], line_ranges: Sequence[LineRange], faults: Sequence[Fault], end: int
+) -> ExecutedProgram:
+    """Return line ranges, given in execution order, as one program.
 
-    :param units: the files of the pieces, the program first.
+    :param files: the files of the ranges, the program first.
     :param faults: faults of the program; their rows are those of the joined lines.
     :param end: row of the program at which it ends.
     """
-    code = b"\n" + b"".join(_piece_texts(units, pieces))
-    # columns of the pieces: the first four fields of `Piece`
-    unit, first, last, main = np.array([piece[:4] for piece in pieces], dtype=np.int64).reshape(-1, 4).T
+    code = b"\n" + b"".join(_range_texts(files, line_ranges))
+    columns = np.array([line_range[:4] for line_range in line_ranges], dtype=np.int64)  # the fields without `text`
+    file_index, first, last, main_row = columns.reshape(-1, 4).T
     count = last - first
     row = ragged_range(count, first)
-    document, main = np.repeat(unit, count), np.repeat(main, count)
-    comments, rows = _executed_comments(units, document, row)
-    source, line = Source(code, line_feeds(code), comments, rows + 1), row + 1
-    documents = tuple(unit.document for unit in units)
-    after_end = np.setdiff1d(units[0].source.rows_with_coordinates(end), row[document == 0]) + 1
-    main = np.where(main < 0, line, main + 1)
-    return ExecutedProgram(source, documents, document, line, main, tuple(faults), tuple(after_end.tolist()))
+    document, main_row = np.repeat(file_index, count), np.repeat(main_row, count)
+    comments, comment_rows = _executed_comments(files, document, row)
+    line = row + 1
+    after_end = np.setdiff1d(files[0].source.rows_with_coordinates(end), row[document == 0]) + 1
+    return ExecutedProgram(
+        source=Source(code, line_feeds(code), comments, comment_rows + 1),
+        documents=tuple(file.document for file in files),
+        document=document,
+        line=line,
+        main_line=np.where(main_row < 0, line, main_row + 1),  # −1: a line of the program itself
+        faults=tuple(faults),
+        after_end=tuple(after_end.tolist()),
+    )
 
 
-def _piece_texts(units: Sequence[Unit], pieces: Sequence[Piece]) -> Iterator[bytes]:
-    """Yield the text of the pieces in execution order."""
-    sources = [(unit.source.code, unit.source.ends.tolist()) for unit in units]
-    for piece in pieces:
-        if piece.text is not None:
-            yield piece.text.encode("ascii") + b"\n"
+def _range_texts(files: Sequence[ProgramFile], line_ranges: Sequence[LineRange]) -> Iterator[bytes]:
+    """Yield the text of line ranges in execution order."""
+    sources = [(file.source.code, file.source.ends.tolist()) for file in files]
+    for line_range in line_ranges:
+        if line_range.text is not None:
+            yield line_range.text.encode("ascii") + b"\n"
         else:
-            code, ends = sources[piece.unit]
-            yield code[ends[piece.first] + 1 : ends[piece.last] + 1]
+            code, ends = sources[line_range.file_index]
+            yield code[ends[line_range.first] + 1 : ends[line_range.last] + 1]
 
 
-def _executed_comments(units: Sequence[Unit], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
-    """Return the comments of the executed lines, and the executed row of each.
+def _executed_comments(files: Sequence[ProgramFile], document: Ints, row: Ints) -> tuple[tuple[str, ...], Ints]:
+    """Return the comments (n) of the executed lines, and the index (n,) of the executed line of each.
 
     :param document: (L,) index of the file of each executed line; `row`: (L,) its row in that file.
     """
     texts: list[str] = []
     executed_rows: list[Ints] = []
     text_indices: list[Ints] = []
-    for n, unit in enumerate(units):
+    for n, file in enumerate(files):
         rows = np.flatnonzero(document == n)
-        comment_rows = unit.source.comment_lines - 1
+        comment_rows = file.source.comment_lines - 1
         # comments of each executed row: a range of `comment_rows`, which ascend
         first = np.searchsorted(comment_rows, row[rows], "left")
         count = np.searchsorted(comment_rows, row[rows], "right") - first
         executed_rows.append(np.repeat(rows, count))
         text_indices.append(len(texts) + ragged_range(count, first))
-        texts += unit.source.comments
+        texts += file.source.comments
     order = np.argsort(np.concatenate(executed_rows), kind="stable")  # comments of one row keep their order
     ordered_indices = np.concatenate(text_indices)[order].tolist()
     return tuple(texts[n] for n in ordered_indices), np.concatenate(executed_rows)[order]
@@ -127,47 +135,48 @@ _EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", 
 class Library:
     """The files of a program.
 
-    :ivar units: the program, then the files of its folder in the order of their first call.
+    :ivar files: the program, then the files of its folder in the order of their first call.
     """
 
-    def __init__(self, program: Unit) -> None:
-        self.units = [program]
-        self._files: dict[str, Path] | None = None
+    def __init__(self, program: ProgramFile) -> None:
+        self.files = [program]
+        self._folder_files: dict[str, Path] | None = None
 
     def find_subprogram(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
-        """Return the index in `units` of the file of a subprogram, and the row after its label; None if there is none.
+        """Return the index in `files` of the file of a subprogram, and its first row there; None: no file has it.
 
         It is searched for in the calling file, in the program, and then in the other files of the folder.
 
         :param label: name or number of the subprogram.
-        :param caller: index of the calling file in `units`.
+        :param caller: index of the calling file in `files`.
         :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
         :raises BlockError: its file cannot be read, or has no such SUB.
         """
         for loaded_index in dict.fromkeys((caller, 0)):  # the calling file, then the main one
-            loaded_unit = self.units[loaded_index]
-            label_row = (loaded_unit.subs if is_linuxcnc_style else loaded_unit.numbered_subs).get(label)
+            loaded_file = self.files[loaded_index]
+            label_row = (loaded_file.subs if is_linuxcnc_style else loaded_file.numbered_subs).get(label)
             if label_row is not None:
                 return loaded_index, label_row + 1
-        unit_index = self._load_file(label)
-        if unit_index is None:
+        file_index = self._load_file(label)
+        if file_index is None:
             return None
-        unit = self.units[unit_index]
-        # a file called by M98 need not state its number: it then begins at row 0
-        label_row = (unit.subs if is_linuxcnc_style else unit.numbered_subs).get(label, -1)
-        if is_linuxcnc_style and label_row < 0:
-            raise BlockError(f"{unit.document.name} has no O<{label}> SUB", None)
-        return unit_index, label_row + 1
+        file = self.files[file_index]
+        label_row = (file.subs if is_linuxcnc_style else file.numbered_subs).get(label)
+        if label_row is not None:
+            return file_index, label_row + 1
+        if is_linuxcnc_style:
+            raise BlockError(f"{file.document.name} has no O<{label}> SUB", None)
+        return file_index, 0  # a file called by M98 need not state its number: it begins with its first line
 
     def _load_file(self, label: str) -> int | None:
-        """Return the index in `units` of the file of the folder that contains a subprogram; None: there is none.
+        """Return the index in `files` of the file of the folder that contains a subprogram; None: there is none.
 
-        A file is read and added to `units` when it is first called.
+        A file is read and added to `files` when it is first called.
 
         :raises BlockError: it cannot be read.
         """
-        for n, unit in enumerate(self.units):  # 0 is the program itself
-            if n and _label_of_file(unit.document.name) == label:
+        for n, file in enumerate(self.files):  # 0 is the program itself
+            if n and _label_of_file(file.document.name) == label:
                 return n
         path = self._subprogram_file(label)
         if path is None:
@@ -178,27 +187,27 @@ class Library:
             raise BlockError(f"subprogram O{label}: {path.name} cannot be read ({cause.strerror})", None) from cause
         except ProgramError as cause:
             raise BlockError(f"subprogram O{label}: {cause.problem}", None) from cause
-        unit = Unit.from_source(document, split(document))
-        if unit.faults:
-            problem, line = unit.faults[0].problem, unit.faults[0].row + 1
+        file = ProgramFile.from_source(document, split(document))
+        if file.faults:
+            problem, line = file.faults[0].problem, file.faults[0].row + 1
             raise BlockError(f"subprogram O{label}: {path.name}:{line}: {problem}", None)
-        self.units.append(unit)
-        return len(self.units) - 1
+        self.files.append(file)
+        return len(self.files) - 1
 
     def _subprogram_file(self, label: str) -> Path | None:
         """Return the file of the program's folder that is named after a subprogram, or None.
 
-        Extensions are tried in order, first that of the program. On the first call the folder is listed into `_files`.
+        Extensions are tried in order, first that of the program. The first call lists the folder into `_folder_files`.
         """
-        main = self.units[0].document
-        if self._files is None:
-            self._files = {}
+        main = self.files[0].document
+        if self._folder_files is None:
+            self._folder_files = {}
             folder = Path(main.folder) if main.folder else None
             for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
                 if path.name != main.name and path.suffix.lower() in (*_EXTENSIONS, Path(main.name).suffix.lower()):
-                    self._files[path.name.lower()] = path
+                    self._folder_files[path.name.lower()] = path
         for extension in dict.fromkeys((Path(main.name).suffix.lower(), *_EXTENSIONS)):
-            for name, path in self._files.items():
+            for name, path in self._folder_files.items():
                 if Path(name).suffix == extension and _label_of_file(name) == label and path.is_file():
                     return path
         return None
@@ -211,8 +220,9 @@ def _label_of_file(file: str) -> str:
     return stem if number is None else str(int(number[1]))
 
 
-_MOST_ORDERS = 2_000_000
-"""Limit of executed lines with parameters or O-words: more are reported as an endless loop."""
+_MOST_NOTABLE_LINES = 2_000_000
+"""Limit of executed lines with parameters or O-words, see `ProgramFile.next_notable_row`: more are reported as an
+endless loop."""
 _MOST_ROWS = 10_000_000
 """Limit of all executed lines: ten times those of a program of 10⁶ motions."""
 _MOST_CALL_LEVELS = 10
@@ -227,18 +237,25 @@ def execute(document: Document) -> ExecutedProgram:
     :raises SubprogramError: the file only defines subprograms.
     """
     source = split(document)
-    if is_controlled(source):
-        unit = Unit.from_source(document, source)
-        name = None if unit.faults else unit.defined_subprogram()
-        if name is not None:
-            raise SubprogramError(
-                f"this is a subprogram, {name}",
-                file=document.name,
-                advice="Convert the program that calls it.",
-            )
-        return _Run(unit).executed_program()
-    line = compact(np.arange(1, len(source) + 1), np.int32)
-    return ExecutedProgram(source, (document,), constant(0, len(source)), line, line)
+    if not needs_execution(source):
+        line = compact(np.arange(1, len(source) + 1), np.int32)  # 32 bits save memory
+        return ExecutedProgram(
+            source=source,
+            documents=(document,),
+            document=constant(0, len(source)),
+            line=line,
+            main_line=line,
+        )
+    file = ProgramFile.from_source(document, source)
+    # with faults of its O-words a file is not known to be a subprogram: its faults are returned instead
+    name = None if file.faults else file.defined_subprogram()
+    if name is not None:
+        raise SubprogramError(
+            f"this is a subprogram, {name}",
+            file=document.name,
+            advice="Convert the program that calls it.",
+        )
+    return _Execution(file).executed_program()
 
 
 class _ActiveCall(Struct, frozen=True):
@@ -246,14 +263,15 @@ class _ActiveCall(Struct, frozen=True):
 
     :param label: name or number of the subprogram.
     :param is_linuxcnc_style: whether it was called by ``O<name> CALL``, not by M98.
-    :param unit: index of the calling file; `row`: row after the call; `main_row`: that of the caller, see `_Run`.
+    :param file_index: index of the calling file; `row`: row after the call.
+    :param main_row: `_Execution.main_row` of the caller.
     :param repeats: number of further repeats that M98 asks for.
     :param begin: first row of the subprogram, from which it is repeated.
     """
 
     label: str
     is_linuxcnc_style: bool
-    unit: int
+    file_index: int
     row: int
     main_row: int
     repeats: int
@@ -261,32 +279,32 @@ class _ActiveCall(Struct, frozen=True):
 
 
 class _EndError(Exception):
-    """The program ends."""
+    """The execution stops: the program ends, or a fault leaves open which line is next."""
 
 
-class _Run:
-    """Execution of a program: the present line, the calls that lead to it, and the pieces executed so far.
+class _Execution:
+    """Execution of a program: the present line, the calls that lead to it, and the line ranges executed so far.
 
-    :ivar unit: index of the present file in `units`; `row`: next row in it.
+    :ivar file_index: index of the present file in `files`; 0: the program itself. `row`: next row in it.
     :ivar calls: the calls that have not returned yet, the innermost last.
     :ivar main_row: row of the program from which the present subprogram was called; −1 in the program itself.
     :ivar remaining_rounds: rounds that REPEAT loops still have to make, by number of open calls, file and row of the
         loop.
-    :ivar row_count: number of executed lines; `order_count`: number of executed lines with parameters or O-words.
+    :ivar row_count: number of executed lines; `notable_count`: number of executed lines with parameters or O-words.
     :ivar faults: faults by file and row.
     :ivar end: row of the program at which it ends.
     """
 
-    def __init__(self, unit: Unit) -> None:
-        self.end = len(unit.source)
-        self.library = Library(unit)
-        self.units = self.library.units
-        self.unit, self.row, self.main_row = 0, 0, -1
+    def __init__(self, file: ProgramFile) -> None:
+        self.end = len(file.source)
+        self.library = Library(file)
+        self.files = self.library.files
+        self.file_index, self.row, self.main_row = 0, 0, -1
         self.parameters = Parameters()
         self.calls: list[_ActiveCall] = []
         self.remaining_rounds: dict[tuple[int, int, int], int] = {}
-        self.pieces: list[Piece] = []
-        self.row_count = self.order_count = 0
+        self.line_ranges: list[LineRange] = []
+        self.row_count = self.notable_count = 0
         self.faults: dict[tuple[int, int], Fault] = {}
 
     def executed_program(self) -> ExecutedProgram:
@@ -294,55 +312,58 @@ class _Run:
 
         A program whose O-words have faults is not executed: the result has the faults alone.
         """
-        for fault in self.units[0].faults:
+        for fault in self.files[0].faults:
             self._add_fault(fault.row, fault.problem, fault.advice)
         try:
-            while not self.units[0].faults:
-                self._step()
+            while not self.files[0].faults:
+                self._execute_next_line()
         except _EndError:
             pass
-        return join_pieces(self.units, self.pieces, list(self.faults.values()), self.end)
+        return joined_program(self.files, self.line_ranges, list(self.faults.values()), self.end)
 
-    def _step(self) -> None:
+    def _execute_next_line(self) -> None:
         """Copy the plain lines up to the next line with a parameter or an O-word, and execute that line.
 
         A fault of that line is recorded.
 
         :raises _EndError: the program ends, or a fault leaves open which line is next.
         """
-        unit, first = self.units[self.unit], self.row
-        row = unit.next_notable_row[first]
+        file, first = self.files[self.file_index], self.row
+        row = file.next_notable_row[first]
         if row > first:
             self._add_rows(first, row)
-        if row == len(unit.source):
+        if row == len(file.source):  # no such line follows
             if self.calls:
                 end = "ENDSUB" if self.calls[-1].is_linuxcnc_style else "M99"
                 self._stop(row - 1, f"subprogram O{self.calls[-1].label} does not end with {end}")
             raise _EndError
-        self.order_count += 1
-        if self.order_count > _MOST_ORDERS or self.row_count > _MOST_ROWS:
-            self._stop(row, f"more than {_MOST_ORDERS:,} lines with parameters and O-words are executed", _LOOP_ADVICE)
+        self.notable_count += 1
+        if self.notable_count > _MOST_NOTABLE_LINES or self.row_count > _MOST_ROWS:
+            self._stop(
+                row, f"more than {_MOST_NOTABLE_LINES:,} lines with parameters and O-words are executed", _LOOP_ADVICE
+            )
         self.row = row + 1
         try:
-            line = unit.parsed_line(row)
-            if isinstance(line, Order):
-                self._execute_order(row, line)
+            line = file.parsed_line(row)
+            if isinstance(line, OWord):
+                self._execute_o_word(row, line)
             elif isinstance(line, Block):
                 self._execute_block(row, line)
             else:
                 self._execute_percent(row)
         except BlockError as cause:
             self._add_fault(row, cause.problem, cause.advice)
-            if isinstance(unit.lines.get(row), Order) or len(self.faults) > MAX_ERRORS:
-                raise _EndError from cause  # the next line is not known
+            if isinstance(file.lines.get(row), OWord) or len(self.faults) > MAX_ERRORS:
+                raise _EndError from cause  # where the O-word leads is not known; further faults are not shown
 
     def _add_rows(self, first: int, last: int, text: str | None = None) -> None:
         """Add rows first … last − 1 of the present file to the executed lines.
 
         :param text: words of a single row in place of those in the file; None: the words of the file.
         """
-        main = self.main_row if self.unit else -1  # a subprogram in the program itself: its own lines are shown
-        self.pieces.append(Piece(self.unit, first, last, main, text))
+        # −1: of a subprogram in the program itself its own lines are shown, not that of the call
+        main_row = self.main_row if self.file_index else -1
+        self.line_ranges.append(LineRange(self.file_index, first, last, main_row, text))
         self.row_count += last - first
 
     def _add_fault(self, row: int, problem: str, advice: str | None = None) -> None:
@@ -351,8 +372,10 @@ class _Run:
         Of each row the first fault counts. The text of the line is recorded too, so that later steps know which words
         are unknown.
         """
-        if (self.unit, row) not in self.faults:
-            self.faults[self.unit, row] = Fault(self.row_count, problem, advice, self.units[self.unit].source.line(row))
+        if (self.file_index, row) not in self.faults:
+            self.faults[self.file_index, row] = Fault(
+                self.row_count, problem, advice, self.files[self.file_index].source.line(row)
+            )
         self._add_rows(row, row + 1, "")
 
     def _stop(self, row: int, problem: str, advice: str | None = None) -> None:
@@ -372,13 +395,13 @@ class _Run:
         :param row: row of the % in the present file.
         :raises _EndError: it ends the program, or coordinates follow it.
         """
-        source = self.units[self.unit].source
-        # `MARK` stands for a comment
-        has_words_before = bool(source.code[: source.ends[row] + 1].strip(b"\n" + MARK.encode()))
+        source = self.files[self.file_index].source
+        # `COMMENT_MARK` stands for a comment
+        has_words_before = bool(source.code[: source.ends[row] + 1].strip(b"\n" + COMMENT_MARK.encode()))
         if has_words_before and self.calls:
             self.row = len(source)
-        elif has_words_before and source.is_cut_short(row):
-            self._stop(row, *CUT_SHORT)
+        elif has_words_before and source.has_coordinates_after_percent(row):
+            self._stop(row, *EARLY_PERCENT)
         elif not self.calls:
             self._add_rows(row, row + 1)
             if has_words_before:
@@ -401,7 +424,7 @@ class _Run:
                 self._add_rows(row, row + 1, text)
             return
         if "98" in end_codes or "99" in end_codes:
-            words = {match[1]: float(match[2]) for match in _CALL.finditer(text) if match[1]}
+            words = {match[1]: float(match[2]) for match in _CALL.finditer(text) if match[1]}  # P and L
             text_without_call = _CALL.sub("", text)
             if text_without_call.strip("/"):
                 self._add_rows(row, row + 1, text_without_call)
@@ -411,7 +434,7 @@ class _Run:
                 self._repeat_or_return(words)
             return
         self._add_rows(row, row + 1, text)
-        self.end = row if self.unit == 0 else self.main_row
+        self.end = row if self.file_index == 0 else self.main_row
         raise _EndError
 
     def _call_by_number(self, row: int, words: dict[str, float]) -> None:
@@ -423,13 +446,13 @@ class _Run:
         if "P" not in words:
             raise BlockError("M98 without P", "Write, for example, M98 P100 L3: subprogram O100, three times.")
         label, times = str(nearest_integer(words["P"])), nearest_integer(words.get("L", 1.0))
-        location = self.library.find_subprogram(label, self.unit, is_linuxcnc_style=False)  # file and row
+        location = self.library.find_subprogram(label, self.file_index, is_linuxcnc_style=False)  # file and row
         if location is None:
             # M98 P30100 calls O100 three times on some Fanuc controls
             advice = "Write M98 P100 L3 for three times." if words["P"] >= 1e4 and "L" not in words else None
             raise BlockError(f"subprogram O{label} is neither in this file nor in its folder", advice)
         if times > 0:
-            self._enter(location, row, label, is_linuxcnc_style=False, repeats=times - 1)
+            self._enter_subprogram(location, row, label, is_linuxcnc_style=False, repeats=times - 1)
             self.parameters.enter(None)  # M98 passes no arguments
 
     def _repeat_or_return(self, words: dict[str, float]) -> None:
@@ -453,122 +476,122 @@ class _Run:
             self.parameters.leave()
             self.parameters.enter(None)
             return
-        self._leave()
+        self._leave_subprogram()
 
-    def _enter(
+    def _enter_subprogram(
         self, location: tuple[int, int], row: int, label: str, *, is_linuxcnc_style: bool, repeats: int = 0
     ) -> None:
         """Continue in a subprogram.
 
-        :param location: index of its file in `units`, and its first row there.
+        :param location: index of its file in `files`, and its first row there.
         :param row: line of the call.
         :param is_linuxcnc_style: whether it is called by ``O<name> CALL``, not by M98.
         :param repeats: how often M98 repeats it after the first time.
         :raises BlockError: calls are nested too deeply.
         """
-        if len(self.calls) >= _MOST_CALL_LEVELS - 1:
+        if len(self.calls) >= _MOST_CALL_LEVELS - 1:  # the program itself is a level
             advice = "Does a subprogram call itself?"
             raise BlockError(f"subprogram calls are nested more than {_MOST_CALL_LEVELS - 1} levels deep", advice)
-        unit, begin = location
+        file_index, begin = location
         self.calls.append(
             _ActiveCall(
                 label,
                 is_linuxcnc_style,
-                unit=self.unit,
+                file_index=self.file_index,
                 row=self.row,
                 main_row=self.main_row,
                 repeats=repeats,
                 begin=begin,
             )
         )
-        if self.unit == 0:
+        if self.file_index == 0:
             self.main_row = row
-        self.unit, self.row = unit, begin
+        self.file_index, self.row = file_index, begin
 
-    def _leave(self) -> None:
+    def _leave_subprogram(self) -> None:
         """Return to the caller of a subprogram, and restore its local parameters."""
         call = self.calls.pop()
-        self.unit, self.row, self.main_row = call.unit, call.row, call.main_row
+        self.file_index, self.row, self.main_row = call.file_index, call.row, call.main_row
         self.parameters.leave()
 
-    def _execute_order(self, row: int, order: Order) -> None:
+    def _execute_o_word(self, row: int, o_word: OWord) -> None:
         """Execute an O-word of LinuxCNC: set `row` to the line to which a call, a branch or a loop leads.
 
         :param row: row of the O-word in the present file.
         :raises BlockError: it calls a subprogram that does not exist, or returns outside of one.
         :raises _EndError: its condition may depend on an earlier fault.
         """
-        unit, keyword = self.units[self.unit], order.keyword
+        file, keyword = self.files[self.file_index], o_word.keyword
         if self.faults and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
-        link = unit.links.get(row, (row,))  # rows of the O-words of this structure, first to last
+        link = file.links.get(row, (row,))  # rows of the O-words of this structure, first to last
         if keyword == "SUB":
             self.row = link[-1] + 1
         elif keyword in ("ENDSUB", "RETURN"):
-            self._return(order)
+            self._return(o_word)
         elif keyword == "CALL":
-            self._call(row, order)
+            self._call(row, o_word)
         elif keyword == "IF":
-            self._branch(order, link)
+            self._branch(o_word, link)
         elif keyword in ("ELSEIF", "ELSE", "BREAK"):  # the branch before has been executed: leave the structure
             self.row = link[-1] + 1
         elif keyword == "WHILE" and row == link[0]:  # begin of WHILE … ENDWHILE
-            if order.values[0](self.parameters) == 0.0:
+            if o_word.values[0](self.parameters) == 0.0:
                 self.row = link[-1] + 1
         elif keyword == "WHILE":  # end of DO … WHILE
-            if order.values[0](self.parameters) != 0.0:
+            if o_word.values[0](self.parameters) != 0.0:
                 self.row = link[0] + 1
         elif keyword == "ENDWHILE":
             self.row = link[0]
         elif keyword == "CONTINUE":
-            last_line = unit.parsed_line(link[-1])
-            is_do_loop = isinstance(last_line, Order) and last_line.keyword == "WHILE"
+            last_line = file.parsed_line(link[-1])
+            is_do_loop = isinstance(last_line, OWord) and last_line.keyword == "WHILE"
             self.row = link[-1] if is_do_loop else link[0]  # the row of the condition
         elif keyword in ("REPEAT", "ENDREPEAT"):
-            self._repeat(order, link)
+            self._repeat(o_word, link)
 
-    def _branch(self, order: Order, link: tuple[int, ...]) -> None:
+    def _branch(self, o_word: OWord, link: tuple[int, ...]) -> None:
         """Continue after the first IF, ELSEIF or ELSE whose condition holds; after ENDIF if none does.
 
         :param link: rows of the O-words of the branch, from IF to ENDIF.
         """
-        unit = self.units[self.unit]
+        file = self.files[self.file_index]
         for row in link[:-1]:
-            branch = unit.parsed_line(row)
+            branch = file.parsed_line(row)
             self.row = row + 1
-            if not isinstance(branch, Order) or not branch.values or branch.values[0](self.parameters) != 0.0:
+            if not isinstance(branch, OWord) or not branch.values or branch.values[0](self.parameters) != 0.0:
                 return
         self.row = link[-1] + 1
 
-    def _repeat(self, order: Order, link: tuple[int, ...]) -> None:
+    def _repeat(self, o_word: OWord, link: tuple[int, ...]) -> None:
         """Execute REPEAT or ENDREPEAT: count the rounds, and continue in the loop or after its end.
 
         REPEAT rounds its number half up.
 
         :param link: rows of REPEAT and ENDREPEAT.
         """
-        key = (len(self.calls), self.unit, link[0])
-        if order.keyword == "REPEAT":
-            self.remaining_rounds[key] = int(np.floor(order.values[0](self.parameters) + 0.5))
+        key = (len(self.calls), self.file_index, link[0])  # a loop runs once more in each call of its subprogram
+        if o_word.keyword == "REPEAT":
+            self.remaining_rounds[key] = int(np.floor(o_word.values[0](self.parameters) + 0.5))
         else:
             self.remaining_rounds[key] -= 1
         self.row = (link[0] if self.remaining_rounds[key] > 0 else link[-1]) + 1
 
-    def _call(self, row: int, order: Order) -> None:
+    def _call(self, row: int, o_word: OWord) -> None:
         """Execute O CALL with its arguments.
 
         :param row: line of the call.
         :raises BlockError: there is no such subprogram.
         """
-        label = order.label if isinstance(order.label, str) else str(nearest_integer(order.label(self.parameters)))
-        arguments = [value(self.parameters) for value in order.values]
-        location = self.library.find_subprogram(label, self.unit, is_linuxcnc_style=True)
+        label = o_word.label if isinstance(o_word.label, str) else str(nearest_integer(o_word.label(self.parameters)))
+        arguments = [value(self.parameters) for value in o_word.values]
+        location = self.library.find_subprogram(label, self.file_index, is_linuxcnc_style=True)
         if location is None:
             raise BlockError(f"subprogram O<{label}> is neither in this file nor in its folder", None)
-        self._enter(location, row, label, is_linuxcnc_style=True)
+        self._enter_subprogram(location, row, label, is_linuxcnc_style=True)
         self.parameters.enter(arguments)
 
-    def _return(self, order: Order) -> None:
+    def _return(self, o_word: OWord) -> None:
         """Execute ENDSUB or RETURN, and store the value that it returns in #<_value>, or 0.
 
         #<_value_returned> is 1 if it returns a value, else 0. The label of RETURN has no meaning.
@@ -576,9 +599,9 @@ class _Run:
         :raises BlockError: no subprogram in LinuxCNC style is active, or ENDSUB has the label of another one.
         """
         call = self.calls[-1] if self.calls else None
-        if call is None or not call.is_linuxcnc_style or (order.keyword == "ENDSUB" and call.label != order.label):
-            raise BlockError(f"O{order.label} {order.keyword} outside of O{order.label} SUB", None)
-        value = order.values[0](self.parameters) if order.values else 0.0
-        self._leave()
+        if call is None or not call.is_linuxcnc_style or (o_word.keyword == "ENDSUB" and call.label != o_word.label):
+            raise BlockError(f"O{o_word.label} {o_word.keyword} outside of O{o_word.label} SUB", None)
+        value = o_word.values[0](self.parameters) if o_word.values else 0.0
+        self._leave_subprogram()
         self.parameters.put("_value", value)
-        self.parameters.put("_value_returned", float(len(order.values)))
+        self.parameters.put("_value_returned", float(len(o_word.values)))

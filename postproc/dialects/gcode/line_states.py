@@ -22,7 +22,7 @@ class LineStates(Struct, frozen=True, eq=False):
     """Words and modal state of each line, lengths in mm: XYZ, IJK (L, 3); all else (L,).
 
     :param xyz: words X, Y, Z; NaN where absent.
-    :param is_placed: whether the line has X, Y or Z.
+    :param has_xyz_word: whether the line has X, Y or Z.
     :param ijk: words I, J, K; NaN where absent.
     :param radius: R: the radius of an arc, or the height of the R plane of a cycle; NaN where absent.
     :param turns: P: the turns of an arc, or the dwell of a cycle; NaN where absent.
@@ -44,7 +44,7 @@ class LineStates(Struct, frozen=True, eq=False):
     """
 
     xyz: Array
-    is_placed: Bools
+    has_xyz_word: Bools
     ijk: Array
     radius: Array
     turns: Array
@@ -123,7 +123,7 @@ def line_states_of(words: Words, modes: Modes, rotary: Rotary | None) -> LineSta
     written_feed = carry_forward(feed_words, 0.0)
     return LineStates(
         xyz=xyz,
-        is_placed=has_position,
+        has_xyz_word=has_position,
         ijk=ijk,
         radius=radius[:, 0],
         turns=words.column("P")[:count],

@@ -42,7 +42,16 @@ from msgspec import Struct
 
 from postproc.cell import FIXED_M_CODES, TURNED_OFFSET, TURNED_OFFSET_ADVICE, Cell, DwellUnit, Rotary
 from postproc.dialects.gcode import codes
-from postproc.dialects.gcode.words import COLUMNS, CUT_SHORT, MARK, BlockError, Fault, Source, Words, words_of
+from postproc.dialects.gcode.words import (
+    COLUMNS,
+    COMMENT_MARK,
+    EARLY_PERCENT,
+    BlockError,
+    Fault,
+    Source,
+    Words,
+    words_of,
+)
 from postproc.errors import MAX_ERRORS, Issue, Level
 from postproc.frames import M_PER_MM, MM_PER_INCH
 from postproc.program import EventKind, Ints
@@ -401,16 +410,17 @@ class FrameCodes:
         :param values: other words of the block by letter, from which L, P and R are removed.
         :raises BlockError: G10 sets something else, or P names no work offset.
         """
-        # L says what G10 sets; −1: no P
-        target, system, turn = values.pop("L", 0.0), values.pop("P", -1.0), values.pop("R", None)
-        if target not in (2.0, 20.0) or (target == 20.0 and turn is not None):
-            raise BlockError(f"G10 L{target:g} is not supported", "Tools are in the cell: [tools.1] …")
+        setting, rotation_deg = values.pop("L", 0.0), values.pop("R", None)  # L says what G10 sets
+        system = values.pop("P", -1.0)  # −1, which names no work offset: no P
+        if setting not in (2.0, 20.0) or (setting == 20.0 and rotation_deg is not None):
+            raise BlockError(f"G10 L{setting:g} is not supported", "Tools are in the cell: [tools.1] …")
         if system not in range(10):
             raise BlockError("G10 without a work offset", "Write P1 for G54 … P9 for G59.3, P0 for the active one.")
         number = int(system)
         if number:
             self.offsets.add(f"G{codes.WORK_OFFSETS[number - 1]:g}")
-        self.origins.append(Origin(row, codes.STORE, axes, system=number, rotation_deg=turn, is_here=target == 20.0))
+        is_here = setting == 20.0
+        self.origins.append(Origin(row, codes.STORE, axes, system=number, rotation_deg=rotation_deg, is_here=is_here))
 
 
 _UNIT_SYNONYMS = {70.0: 20.0, 71.0: 21.0}
@@ -422,8 +432,8 @@ _P_WITH_POINT = re.compile(r"P[+]?[0-9]*\.")
 _GRBL_HOMING = re.compile(r"\$H([XYZ]?)")
 _GRBL_WITHOUT_MOTION = frozenset(("$", "$$", "$G", "$I", "$N", "$X", "$?"))
 """Commands to Grbl; ``$?`` is what `words.split` makes of a line with ? alone."""
-_OPENING_PERCENT = re.compile(rf"[\n{MARK}]*\n{MARK}*%".encode())
-_DELETE_MARK = re.compile(rf"{MARK}*/[1-9]?")
+_OPENING_PERCENT = re.compile(rf"[\n{COMMENT_MARK}]*\n{COMMENT_MARK}*%".encode())
+_DELETE_MARK = re.compile(rf"{COMMENT_MARK}*/[1-9]?")
 
 
 def dwell_time(word: str, number: float, unit: DwellUnit | None, *, has_point: bool = False) -> float:
@@ -515,7 +525,7 @@ def read_modes(
     :returns: modes up to the end of the program, or up to the first `MAX_ERRORS` + 1 faults.
     """
     opening = _OPENING_PERCENT.match(source.code)
-    tape_row = -1 if opening is None else opening[0].count(b"\n") - 1
+    tape_row = -1 if opening is None else opening[0].count(b"\n") - 1  # row of the % that opens the program
     reader = _Reader(words, cell, tape_row)
     faults: list[Fault] = []
     row_count = len(source)
@@ -527,8 +537,8 @@ def read_modes(
             faults.append(cause.fault(row, code))
         if reader.has_ended or len(faults) > MAX_ERRORS:  # no more faults are shown
             row_count = row + 1
-            if not faults_of_run and source.is_cut_short(row):
-                faults.append(Fault(row, *CUT_SHORT))
+            if not faults_of_run and source.has_coordinates_after_percent(row):
+                faults.append(Fault(row, *EARLY_PERCENT))
             break
     faults = sorted(
         [*faults, *(fault for fault in faults_of_run if fault.row < row_count)], key=lambda fault: fault.row
@@ -597,12 +607,12 @@ class _Reader:
         return self.is_tape_closed or self.switching.ended
 
     def read(self, row: int, code: str) -> None:
-        """Read the codes and words of a block; its valid parts count even if it has a fault.
+        """Read the codes and words of a block; its valid words count even if it has a fault.
 
-        :param row: row of the block; `code`: its packed text.
+        :param row: row of the block; `code`: its packed code, see `Source`.
         :raises BlockError: the first fault of the block.
         """
-        if code.lstrip(MARK).startswith("%"):
+        if code.lstrip(COMMENT_MARK).startswith("%"):
             self.is_tape_closed = row != self.tape_row  # the % of `tape_row` opens the program
             return
         delete_mark = _DELETE_MARK.match(code)
@@ -635,18 +645,18 @@ class _Reader:
         ):
             try:
                 read_step(block)
-            except BlockError as cause:  # keep the valid parts of the block: later blocks depend on them
+            except BlockError as cause:  # keep the valid words of the block: later blocks depend on them
                 first_error = first_error or cause
         if first_error is not None:
             raise first_error
 
     def _replace_sender_command(self, row: int, code: str) -> str:
-        """Return a packed block with commands to Grbl replaced.
+        """Return the code of a block with commands to Grbl replaced.
 
         ``$H`` becomes G28. A command that moves nothing becomes an empty block, and a remark. Other blocks are returned
         as they are.
         """
-        command = code.strip(MARK)
+        command = code.strip(COMMENT_MARK)
         if not command.startswith("$"):
             return code
         homing = _GRBL_HOMING.fullmatch(command)

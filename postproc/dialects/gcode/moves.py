@@ -135,7 +135,7 @@ def moves_of(lines: LineStates, modes: Modes, cell_frames: CellFrames) -> Moves:
 
     :param modes: modal state and events of the blocks that are not plain.
     """
-    return _Walk(lines, modes, cell_frames).moves()
+    return _MoveBuilder(lines, modes, cell_frames).moves()
 
 
 def below_top(lines: LineStates, first: int, complete_row: int) -> Bools:
@@ -169,7 +169,7 @@ def _repetition(values: Sequence[int], count: Ints) -> Ints:
     return constant(values[0], int(count.sum())) if len(set(values)) == 1 else np.repeat(values, count)
 
 
-class _Walk:
+class _MoveBuilder:
     """Walk over the lines of a program: state of the machine, and the moves so far.
 
     :ivar position: (3,) position of the tool tip in the program frame [mm].
@@ -280,13 +280,14 @@ class _Walk:
         lines = self.lines
         if (lines.has_motion_code[begin:end]).any() or (lines.motion[begin:end] == codes.CANCEL_CYCLE).any():
             self.cycle.end()
-        last_swing = max(
+        last_turn_row = max(
             self._add_lines(begin + chunk.start, min(begin + chunk.stop, end)) for chunk in chunks(end - begin)
         )
+        has_turn = last_turn_row >= 0  # without tool-centre-point control
         is_upright = bool((self.angles == self.cell_frames.rotary.upright).all())
         # the tip may be anywhere; with tilted axes `turning_faults` refuses the next move
-        if last_swing >= 0 and is_upright:
-            row = last_swing + 1
+        if has_turn and is_upright:
+            row = last_turn_row + 1
             self.losses.append((row, np.ones(3, dtype=bool)))
             self.is_known = np.asarray(~np.isnan(lines.xyz[row:end]).all(axis=0))
 
@@ -310,9 +311,9 @@ class _Walk:
         moving = np.flatnonzero(lines.is_moving[begin:end])
         self._add_moves(begin + moving, lines.motion[begin + moving], positions[moving], angles[moving])
         self.position = positions[-1].copy()
-        swings = ~lines.is_tip_controlled[begin:end] & (angles[:, 0] != angles[:, 1]).any(axis=1)
-        swing_rows = np.flatnonzero(swings)
-        return begin + int(swing_rows[-1]) if len(swing_rows) else -1
+        is_turn = ~lines.is_tip_controlled[begin:end] & (angles[:, 0] != angles[:, 1]).any(axis=1)
+        turns = np.flatnonzero(is_turn)
+        return begin + int(turns[-1]) if len(turns) else -1
 
     def _add_indexed_move(self, row: int) -> None:
         """Add the moves of a line with words of indexed axes; a fault if it turns them and is not a rapid.
@@ -335,7 +336,7 @@ class _Walk:
             return
         if not self.is_known.all():  # the move from [start] is made when X, Y and Z are known
             self._turn_part(row, start_angles + turn)
-            if self.lines.is_placed[row]:
+            if self.lines.has_xyz_word[row]:
                 self._add_straight_moves(row, row + 1)
             return
         self.cycle.end()
@@ -414,13 +415,13 @@ class _Walk:
         lines = self.lines
         axes = list(PLANE_AXES[float(lines.plane[row])])
         is_incremental = bool(lines.is_incremental[row])
-        u, v, height = self.position[axes].tolist()
+        u, v, height = self.position[axes].tolist()  # in the plane (17: X, Y) and across it
         try:
             cycle_moves = self.cycle.hole_moves(
-                float(lines.motion[row]),
-                self._cycle_words(row, axes),
-                (u, v, height),
-                spindle,
+                code=float(lines.motion[row]),
+                line_words=self._cycle_words(row, axes),
+                position=(u, v, height),
+                spindle=spindle,
                 relative=is_incremental,
                 retracts_to_r=bool(lines.retracts_to_r[row]),
             )
@@ -433,9 +434,9 @@ class _Walk:
         if not is_incremental:
             self.is_known[axes[:2]] |= ~np.isnan(lines.xyz[row][axes[:2]])
         steps = cycle_moves.steps
-        places = np.empty((len(steps), 3))
-        places[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
-        self._add_holes(np.full(len(steps), row), places, cycle_moves)
+        ends = np.empty((len(steps), 3))
+        ends[:, axes] = np.reshape([step.end for step in steps], (-1, 3))
+        self._add_holes(np.full(len(steps), row), ends, cycle_moves)
         return cycle_moves
 
     def _cycle_words(self, row: int, axes: list[int]) -> dict[str, float]:
@@ -466,24 +467,24 @@ class _Walk:
         """
         steps = cycle_moves.steps
         axes = PLANE_AXES[float(self.lines.plane[row - 1])]
-        places = np.empty((stop - row, len(steps), 3))
-        places[:, :, axes[2]] = [step.end[2] for step in steps]
+        ends = np.empty((stop - row, len(steps), 3))
+        ends[:, :, axes[2]] = [step.end[2] for step in steps]
         for axis in axes[:2]:
             words = self.lines.xyz[row:stop, axis]
             if self.lines.is_incremental[row - 1]:
                 coordinates = self.position[axis] + np.cumsum(np.nan_to_num(words))
             else:
                 coordinates = carry_forward(words, self.position[axis])
-            places[:, :, axis] = coordinates[:, None]
+            ends[:, :, axis] = coordinates[:, None]
             if self.cycle.lifts_to_r:
                 # the tool goes up to R above the hole before
-                places[:, 0, axis] = np.append(self.position[axis], coordinates[:-1])
-        self._add_holes(np.repeat(np.arange(row, stop), len(steps)), places.reshape(-1, 3), cycle_moves)
+                ends[:, 0, axis] = np.append(self.position[axis], coordinates[:-1])
+        self._add_holes(np.repeat(np.arange(row, stop), len(steps)), ends.reshape(-1, 3), cycle_moves)
 
-    def _add_holes(self, row: Ints, places: Array, cycle_moves: CycleMoves) -> None:
+    def _add_holes(self, row: Ints, ends: Array, cycle_moves: CycleMoves) -> None:
         """Add the moves of holes that all have the same steps and events.
 
-        :param row: (n,) line of each move; `places`: (n, 3) its end in the program frame [mm].
+        :param row: (n,) row of the line of each move; `ends`: (n, 3) its end in the program frame [mm].
         :param cycle_moves: moves and events of one of these holes.
         """
         if not len(row):
@@ -498,8 +499,8 @@ class _Walk:
             ]
         steps_in_hole = [n for n, step in enumerate(steps) if step.is_in_hole]
         self.bottom_moves += (first[:, None] + np.array(steps_in_hole, dtype=np.int64)).ravel().tolist()
-        self._add_moves(row, np.tile([step.code for step in steps], len(first)), places)
-        self.position = places[-1].copy()
+        self._add_moves(row, np.tile([step.code for step in steps], len(first)), ends)
+        self.position = ends[-1].copy()
 
     def _check_drilling(self, begin: int, end: int) -> None:
         """Add a fault if a rotary axis turns in lines with cycles, or the tool does not point along the hole.
@@ -600,9 +601,9 @@ class _Walk:
             self.faults.append(Fault(row, f"G{command.code:g} with tilted axes, and home is a place", advice))
             return
         frame = self.machine_frames[-1]
-        place = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM
-        place[axis_mask] = home[axis_mask]
-        self._add_rapid(row, frame[:3, :3].T @ (place - frame[:3, 3] / M_PER_MM))
+        base_position = frame[:3, :3] @ self.position + frame[:3, 3] / M_PER_MM  # in `$BASE` [mm]
+        base_position[axis_mask] = home[axis_mask]
+        self._add_rapid(row, frame[:3, :3].T @ (base_position - frame[:3, 3] / M_PER_MM))
         is_elsewhere = np.zeros(3, dtype=bool)  # axes that the machine moves to another position than home
         if command.code == codes.MACHINE:
             is_elsewhere[[axis for axis, word in command.axes.items() if word != 0.0]] = True
@@ -656,14 +657,14 @@ class _Walk:
     def _check_return(self) -> None:
         """Add faults of moves before X and Y are programmed again after G28, G30 or G53 moved them on the machine.
 
-        The robot has stayed above its position (`parkings`), so machine and robot differ. Only rapids in G90 without Z
-        may precede, which program X and Y at the height of the retract.
+        The robot has stayed above its position (`parkings`: row and axes), so machine and robot differ. Only rapids in
+        G90 without Z may precede, which program X and Y at the height of the retract.
         """
         has_word = ~np.isnan(self.lines.xyz)
         is_rapid_in_plane = (self.lines.motion == 0.0) & ~self.lines.is_incremental & ~has_word[:, 2]
         for row, axes in self.parkings:
             open_axes = axes.copy()
-            for next_row in (row + 1 + np.flatnonzero(self.lines.is_placed[row + 1 :])).tolist():
+            for next_row in (row + 1 + np.flatnonzero(self.lines.has_xyz_word[row + 1 :])).tolist():
                 if not is_rapid_in_plane[next_row]:
                     names = " and ".join("XYZ"[axis] for axis in np.flatnonzero(open_axes).tolist())
                     problem = f"{names} must be programmed again after G28, G30 or G53, before this move"
@@ -687,10 +688,10 @@ class _Walk:
             if self.is_known.all():
                 self._add_rapid(row, self.position)
 
-    def _add_rapid(self, row: int, place: Array) -> None:
+    def _add_rapid(self, row: int, end: Array) -> None:
         """Add a rapid move of a line to a position (3,) in the program frame [mm]."""
-        self._add_moves(np.array([row]), np.zeros(1), place[None])
-        self.position = place
+        self._add_moves(np.array([row]), np.zeros(1), end[None])  # code 0: rapid
+        self.position = end
 
     def _add_moves(self, row: Ints, code: Array | NDArray[np.int8], end: Array, angles: Array | None = None) -> None:
         """Add a run of moves (n,), which begins at the current position; the position itself is not changed.
@@ -780,26 +781,27 @@ class _Walk:
         :param current: code of the active work offset, which P0 means.
         """
         system = codes.WORK_OFFSETS[origin.system - 1] if origin.system else current
-        place = self.offset_frames[system].copy()
+        new_frame = self.offset_frames[system].copy()  # in `$BASE` [m]
         if origin.rotation_deg is not None and self.cell_frames.rotary.turns_part:
             self.faults.append(
                 Fault(origin.row, "G10 R with indexed axes", "X, Y, Z are machine axes there: remove R.")
             )
         elif origin.rotation_deg is not None:
-            place[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.rotation_deg, 0.0, 0.0])[:3, :3]
+            new_frame[:3, :3] = pose_from_xyzabc([0.0, 0.0, 0.0, origin.rotation_deg, 0.0, 0.0])[:3, :3]
         if origin.is_here:
             self._check_position(origin, "G10 L20", list(origin.axes))
             frame = self.frames[-1]
             base_point = frame[:3, :3] @ self.position * M_PER_MM + frame[:3, 3]  # current position in `$BASE`
-            offset = place[:3, :3].T @ (base_point - place[:3, 3]) / M_PER_MM - self.shift
+            # by how much the origin moves along its axes [mm]: present coordinates less those of the words
+            offset = new_frame[:3, :3].T @ (base_point - new_frame[:3, 3]) / M_PER_MM - self.shift
             for axis, word in origin.axes.items():
                 offset[axis] -= word
             offset[[axis for axis in range(3) if axis not in origin.axes]] = 0.0
-            place[:3, 3] += place[:3, :3] @ offset * M_PER_MM
+            new_frame[:3, 3] += new_frame[:3, :3] @ offset * M_PER_MM
         else:
             for axis, word in origin.axes.items():
-                place[axis, 3] = word * M_PER_MM
-        self.offset_frames[system] = place
+                new_frame[axis, 3] = word * M_PER_MM
+        self.offset_frames[system] = new_frame
 
     def _joined_moves(self) -> Moves:
         """Return the moves of all lines, joined from the runs of lines that were added together.
@@ -814,7 +816,7 @@ class _Walk:
         columns = {name: np.concatenate(self.column_parts.pop(name)) for name in list(self.column_parts)}
         start_positions, frame_rows, tool_rows = zip(*self.starts, strict=True)  # one for each run
         count = np.diff(self.first_moves, append=self.move_count)  # number of moves of each run
-        unknown_ranges, last_start_row = self._ranges_behind_start(self._unknown_ranges())
+        unknown_ranges, last_start_row = self._ranges_without_start(self._unknown_ranges())
         runs_with_moves = np.flatnonzero(count)  # a run without moves starts none
         moves = Moves(
             **columns,
@@ -878,7 +880,7 @@ class _Walk:
         rotations = [frame[:3, :3] for frame in self.frames]
         if moves.rotary_angles.any() or not all(np.array_equal(rotations[0], rotation) for rotation in rotations[1:]):
             return np.zeros(len(moves.row), dtype=np.bool_)
-        origin_height = np.array([frame[:3, 2] @ frame[:3, 3] for frame in self.frames])
+        origin_height = np.array([frame[:3, 2] @ frame[:3, 3] for frame in self.frames])  # along their common z [m]
         height = moves.end[:, 2] + origin_height[moves.frame] / M_PER_MM
         is_known_rapid = (moves.code == 0.0) & ~moves.is_in_hole
         for first, last in moves.unknown_ranges:
@@ -886,25 +888,25 @@ class _Walk:
         lowest_height = np.minimum.accumulate(np.where(is_known_rapid, height, np.inf))
         return np.asarray(np.isfinite(lowest_height) & (height >= lowest_height - _LENGTH_TOLERANCE_MM))
 
-    def _ranges_behind_start(self, unknown: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
+    def _ranges_without_start(self, unknown_ranges: list[tuple[int, int]]) -> tuple[list[tuple[int, int]], int]:
         """Return the ranges of rows with an unknown position, and the last row whose moves begin at `[start]`.
 
         A program that begins with moves at feed at a safe height begins at `[start]`, with a remark: in its first range
         no move is held back then. Other programs: the ranges as they are, and −1.
 
-        :param unknown: ranges (first, last) of rows as `_unknown_ranges` returns them.
+        :param unknown_ranges: ranges (first, last) of rows as `_unknown_ranges` returns them.
         """
-        first, last = unknown[0]
+        first, last = unknown_ranges[0]
         if not self._begins_at_start(first, last):
-            return unknown, -1
+            return unknown_ranges, -1
         row_range = slice(first, last + 1)
-        is_feed = self.lines.is_placed[row_range] & (self.lines.motion[row_range] == 1.0)
+        is_feed = self.lines.has_xyz_word[row_range] & (self.lines.motion[row_range] == 1.0)
         message = (
             "G1 before X, Y and Z are known: the moves begin at [start] of the cell. Check that the path from there is "
             "free."
         )
         self.remarks.append(Remark(first + int(np.argmax(is_feed)), "warning", "from-start", message))
-        return [(first, first), *unknown[1:]], last
+        return [(first, first), *unknown_ranges[1:]], last
 
     def _begins_at_start(self, first: int, last: int) -> bool:
         """Return whether a program begins with moves at feed at a safe height, which the robot makes from `[start]`.
@@ -917,20 +919,20 @@ class _Walk:
         """
         lines = self.lines
         row_range = slice(first, min(last + 1, self.line_count))
-        is_placed = lines.is_placed[row_range]
-        is_feed = is_placed & (lines.motion[row_range] == 1.0)
+        has_xyz_word = lines.has_xyz_word[row_range]
+        is_feed = has_xyz_word & (lines.motion[row_range] == 1.0)
         has_word = ~np.isnan(lines.xyz[row_range])
         is_xy_known = np.logical_or.accumulate(has_word[:, :2], axis=0).all(axis=1)
         is_low = is_feed & (np.where(has_word[:, 2], lines.xyz[row_range, 2], np.inf) <= 0.0)
         if not is_feed.any() or last >= self.line_count:
             return False
-        offsets = self.offset[row_range][is_placed]
+        offsets = self.offset[row_range][has_xyz_word]
         is_other_motion = lines.is_drilling[row_range] | (lines.is_moving[row_range] & (lines.motion[row_range] >= 2.0))
         return bool(
-            lines.motion[first + int(np.argmax(is_placed))] == 1.0  # the first of the moves
+            lines.motion[first + int(np.argmax(has_xyz_word))] == 1.0  # the first of the moves
             and not (is_low & ~is_xy_known).any()  # else the place of a plunge is not known
             and not np.isnan(lines.xyz).all(axis=0).any()  # X, Y and Z are programmed somewhere
-            and not (is_placed & lines.is_incremental[row_range]).any()
+            and not (has_xyz_word & lines.is_incremental[row_range]).any()
             and not is_other_motion.any()
             and (offsets == offsets[0]).all()
             and (below_top(lines, first, last)[row_range] & is_feed).any()

@@ -73,15 +73,16 @@ class ApproachedMoves(NamedTuple):
 def arrivals(moves: Moves) -> tuple[Bools, Bools]:
     """Return which moves (N,) are held back while X, Y, Z are not all known, and which (N,) arrive there.
 
-    The move on the last row of a range arrives: it starts wherever the robot is. At the start of a program that is a
-    rapid; a move at feed begins at `[start]`. After G28, G30 and G53 it may be a move at feed too.
+    The move on the last row of a range of unknown positions arrives: it starts wherever the robot is. At the start of a
+    program that is a rapid; a move at feed begins at `[start]`. After G28, G30 and G53 it may be a move at feed too.
     """
     is_held_back, is_arrival = np.zeros(len(moves.row), dtype=bool), np.zeros(len(moves.row), dtype=bool)
     for number, (first, last) in enumerate(moves.unknown_ranges):
         begin, end = np.searchsorted(moves.row, [first, last]).tolist()  # rows never decrease
         is_held_back[begin:end] = ~moves.is_home_move[begin:end]
         arrival = slice(end, end + 1)  # the move on the last row; empty if the program ends before
-        is_arrival[arrival] = moves.code[arrival] <= (1.0 if number else 0.0)
+        is_program_start = number == 0
+        is_arrival[arrival] = moves.code[arrival] <= (0.0 if is_program_start else 1.0)  # 0: rapid, 1: straight at feed
     return is_held_back, is_arrival
 
 
@@ -205,7 +206,7 @@ def rotation_bound(moves: Moves, axes: Array) -> Array:
 
 
 def swivel_of(motion_moves: _MotionMoves, lines: LineStates, cell_frames: CellFrames) -> Swivel:
-    """Return the rotation of the tool in the motions of a program.
+    """Return the rotation of the tool by the rotary axes in the motions of a program.
 
     It is inactive for motions by joint interpolation, moves to home, and the first motion.
     """
@@ -297,12 +298,14 @@ def turning_faults(
     return [faults[row] for row in sorted(faults)]
 
 
-def faults_of(lines: LineStates, moves: Moves, modes: Modes, circular: Ints, arcs: Sequence[ArcFault]) -> list[Fault]:
+def faults_of(
+    lines: LineStates, moves: Moves, modes: Modes, arc_rows: Ints, arc_faults: Sequence[ArcFault]
+) -> list[Fault]:
     """Return the faults in order of lines, one for each line.
 
     Faults that may only follow from an unreadable block before are left out.
 
-    :param circular: (A,) rows of the lines of arcs; `arcs`: faults of these arcs.
+    :param arc_rows: (A,) rows of the lines of arcs; `arc_faults`: faults of these arcs.
     """
     doubt = _Doubt(lines, modes.faults)
     faults = _LineFaults(modes.faults)
@@ -312,8 +315,8 @@ def faults_of(lines: LineStates, moves: Moves, modes: Modes, circular: Ints, arc
     for fault in moves.faults:
         if not (doubt.motion[fault.row] or doubt.position[fault.row]):
             faults.add(fault)
-    for arc_fault in arcs:
-        row = int(circular[arc_fault.n])
+    for arc_fault in arc_faults:
+        row = int(arc_rows[arc_fault.n])
         if not (doubt.motion[row] or (arc_fault.depends_on_start and doubt.position[row])):
             faults.add(Fault(row, arc_fault.problem, arc_fault.advice))
     return faults.in_order()
@@ -348,7 +351,10 @@ def _is_arc(lines: LineStates) -> Bools:
 
 
 def _check_words(lines: LineStates, modes: Modes, doubt: _Doubt, faults: _LineFaults) -> None:
-    """Add faults of lines with words that neither their arc nor their cycle uses, or with G4 and an arc."""
+    """Add faults of lines with words that neither their arc nor their cycle uses, or with G4 and an arc.
+
+    :param doubt: lines whose motion code is unknown after an unreadable block, which may use the words.
+    """
     is_arc, has_centre = lines.is_moving & _is_arc(lines), any_column(~np.isnan(lines.ijk))
     uses_words = is_arc | lines.is_drilling | doubt.motion
     vector_advice = 'If I, J, K are the direction of the tool (G43.5), write kind = "vector" in [rotary] of the cell.'
@@ -369,6 +375,8 @@ def _check_feeds(lines: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
     """Add faults of lines that cut without a feed, and of cycles in G93.
 
     The feed of G94 is modal, so its fault is that of the first such line. F of G93 holds for its own line.
+
+    :param doubt: lines whose motion code or feed is unknown after an unreadable block.
     """
     is_feed_motion = (lines.motion == 1.0) | _is_arc(lines)
     cuts = ((lines.has_motion_code | lines.is_moving) & is_feed_motion) | lines.is_drilling
@@ -399,8 +407,8 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
 
     :param doubt: lines whose motion or position is in doubt because of other faults, which are reported instead.
     """
-    line = np.arange(len(lines.motion))
-    has_axis_word = lines.is_placed
+    row = np.arange(len(lines.motion))
+    has_axis_word = lines.has_xyz_word
     advice = (
         "Program X, Y and Z in rapid moves (G0, in G90) first: the tool may be anywhere before. Or state in the cell "
         "where the machine is when the program starts: [machine] home = [X, Y, Z]."
@@ -409,9 +417,9 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
     if unset_axes:
         advice += f" {' and '.join(unset_axes)} {'is' if len(unset_axes) == 1 else 'are'} never programmed."
     for first, complete_row in moves.unknown_ranges:
-        if first >= len(line):
+        if first >= len(row):
             continue
-        is_within = (line >= first) & (line <= complete_row)
+        is_within = (row >= first) & (row <= complete_row)
         is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
         faults.check(is_early & lines.is_incremental, problem, advice, first=True)
@@ -419,7 +427,7 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
         # a single line that gives X, Y and Z at once is no low move
         is_low = (begin != complete_row) & below_top(lines, first, complete_row)
         is_line = lines.motion == 1.0  # G1
-        is_low_cut = (is_line & is_low) | (lines.is_drilling & (line < complete_row))
+        is_low_cut = (is_line & is_low) | (lines.is_drilling & (row < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
         faults.check(is_cut, "cutting move before the position is known", advice, first=True)
         is_unknown_arc = lines.is_moving & _is_arc(lines) & is_within & ~doubt.motion & ~doubt.position
@@ -441,11 +449,11 @@ class _Doubt:
         if not faults:
             self.motion = self.position = self.feed = np.zeros(count, dtype=bool)
             return
-        line = np.arange(count)
+        row = np.arange(count)
 
         def last_rows(is_marked: Array | Bools) -> Ints:
             """Return for each row (L,) the last marked row up to it; −1: none."""
-            return np.asarray(np.maximum.accumulate(np.where(is_marked, line, -1)), dtype=np.int64)
+            return np.asarray(np.maximum.accumulate(np.where(is_marked, row, -1)), dtype=np.int64)
 
         def last_lost_rows(letters: str) -> Ints:
             """Return for each row (L,) the last row up to it with one of the letters in unreadable text; −1: none."""
@@ -508,7 +516,7 @@ class MotionPath(Struct, frozen=True, eq=False):
 
 
 class _MotionMoves(Struct, frozen=True, eq=False):
-    """The M motions of a program among its N moves.
+    """The M motions of a program among its N moves: a line programs a move, the robot executes a motion.
 
     :param moves: all moves; arcs along which rotary axes turn are chords.
     :param index: (M,) indices of the moves that are motions, ascending.
@@ -542,7 +550,7 @@ def read_path(
     """
     approached_moves = add_approaches(moves_of(lines, modes, cell_frames), cell_frames)
     moves = approached_moves.moves
-    circular = np.flatnonzero(moves.code >= 2.0)
+    circular = np.flatnonzero(moves.code >= 2.0)  # G2, G3
     arcs = _arcs(lines, moves, circular)
     faults = faults_of(lines, moves, modes, moves.row[circular], arcs.faults)
     if not faults and rotary is not None:
@@ -747,17 +755,19 @@ def _arcs_in_base(motion_moves: _MotionMoves, kind: Ints, frame: Ints) -> ArcCol
 def _speeds_of(
     lines: LineStates, row: Ints, *, is_rapid: Bools, is_rotation: Bools, length: Array, speeds: Speeds
 ) -> Array:
-    """Return the speeds of motions (M,) [m/s]: the rapid speed of the cell, or the feed of the program.
+    """Return the speeds of the tool tip in motions (M,) [m/s]: the rapid speed of the cell, or the feed of the program.
 
-    In G93, F is the reciprocal of the time of the motion in minutes.
+    In G93, F is the reciprocal of the time of the motion in minutes. Motions that only rotate the tool have no path:
+    their duration follows from the angular speed (`_rotation_rates`), not from the speed returned here.
 
     :param row: (M,) row of the line of each motion; `length`: (M,) its length [mm].
     :param is_rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
     """
     per_minute = lines.feed[row]  # [mm/min]; in G93 [1/min]
     is_inverse_time = lines.is_inverse_time[row] & ~is_rapid
-    per_minute[is_inverse_time] *= length[is_inverse_time]
-    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM  # its `Swivel.rate` limits it
+    per_minute[is_inverse_time] *= length[is_inverse_time]  # now [mm/min] everywhere
+    # without a length F gives no speed of the tip: any speed will do that is no limit beside the angular speed
+    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM
     return np.where(is_rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
 
 

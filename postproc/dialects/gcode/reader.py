@@ -170,13 +170,14 @@ def _executed_program(
     run = execute(document)
     source = run.source
     rotary = "" if cell.rotary is None else "".join(cell.rotary.axes)
-    plain, other_rows = words.read_plain(source, rotary) if bulk else words.no_plain_words(source)
-    modes = read_modes(source, other_rows, plain, cell, run.faults)
-    rows = line_states_of(plain, modes, cell.rotary)
+    # words of the plain motion blocks, and rows of all others, whose words `read_modes` adds
+    line_words, other_rows = words.read_plain(source, rotary) if bulk else words.no_plain_words(source)
+    modes = read_modes(source, other_rows, line_words, cell, run.faults)
+    lines = line_states_of(line_words, modes, cell.rotary)
     if has_absolute_centres and not modes.changes["centre"]:
-        rows = replace(rows, has_absolute_centre=np.ones(len(rows.motion), dtype=np.bool_))
+        lines = replace(lines, has_absolute_centre=np.ones(len(lines.motion), dtype=np.bool_))
     tools = _tools(cell, modes)
-    path = read_path(rows, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
+    path = read_path(lines, modes, _cell_frames(cell, forward_kinematics, tools), _speeds(cell), cell.rotary)
     comments, force_faults = _comments(run, modes.row_count)
     path = _checked_path(path, modes, run, force_faults)
     notes, events = _events(run, path, modes, comments)
@@ -315,9 +316,9 @@ def _late_code_issues(run: ExecutedProgram, row_count: int) -> Iterator[Issue]:
     :param row_count: number of lines up to the end of the program.
     """
     source, lines = run.source, list(run.after_end)
-    # `words.MARK` stands for a comment
-    if source.code[source.ends[row_count] :].strip(b"\n%" + words.MARK.encode()):
-        lines = [row + 1 for row in range(row_count, len(source)) if source.line(row).strip(words.MARK + "%")]
+    # `words.COMMENT_MARK` stands for a comment
+    if source.code[source.ends[row_count] :].strip(b"\n%" + words.COMMENT_MARK.encode()):
+        lines = [row + 1 for row in range(row_count, len(source)) if source.line(row).strip(words.COMMENT_MARK + "%")]
     if len(lines):
         end = int(run.main_line[row_count - 1])
         message = f"There is code after the end of the program (line {end}): it is not executed."

@@ -23,7 +23,7 @@ from postproc.dialects.gcode.expressions import (
     nearest_integer,
     parameter_key,
 )
-from postproc.dialects.gcode.words import MARK, BlockError, Fault, Source
+from postproc.dialects.gcode.words import COMMENT_MARK, BlockError, Fault, Source
 from postproc.program import Document, Ints, distinct
 
 _CALLS = re.compile(rb"M0*9[89](?![\d.])")
@@ -53,8 +53,8 @@ _OPENING_KEYWORDS = {
 }
 
 
-def is_controlled(source: Source) -> bool:
-    """Return whether a program has expressions, or jumps, loops or calls that change the execution order."""
+def needs_execution(source: Source) -> bool:
+    """Return whether a program must be executed to know its lines: it has expressions, branches, loops or calls."""
     code = source.code
     if b"#" in code or b"[" in code or _CALLS.search(code) is not None:
         return True
@@ -65,11 +65,11 @@ class Block(Struct, frozen=True):
     """A line whose words are computed when it is executed.
 
     :param settings: key and value of each parameter that the line sets, after all its values have been evaluated.
-    :param parts: the words in order: plain text, or a letter with the expression of its value.
+    :param words: the words in order: plain text, or a letter with the expression of its value.
     """
 
     settings: tuple[tuple[Callable[[Parameters], Key], Value], ...]
-    parts: tuple[str | tuple[str, Value], ...]
+    words: tuple[str | tuple[str, Value], ...]
 
     def executed_text(self, parameters: Parameters) -> str:
         """Set the parameters of the line in `parameters`, and return its words with numbers in place of expressions.
@@ -77,7 +77,7 @@ class Block(Struct, frozen=True):
         :raises BlockError: a value is not known or not valid.
         """
         text = "".join(
-            [part if isinstance(part, str) else _word_text(part[0], part[1](parameters)) for part in self.parts]
+            [word if isinstance(word, str) else _word_text(word[0], word[1](parameters)) for word in self.words]
         )
         if self.settings:  # all values are computed before the first parameter is set
             for key, value in [(key(parameters), value(parameters)) for key, value in self.settings]:
@@ -85,10 +85,10 @@ class Block(Struct, frozen=True):
         return text
 
 
-class Order(Struct, frozen=True):
-    """A line with an O-word.
+class OWord(Struct, frozen=True):
+    """A line with an O-word, such as ``O100 WHILE [#1 LT 5]``: a label, a keyword and perhaps values.
 
-    :param keyword: ``SUB``, ``CALL`` …; empty for a number alone.
+    :param keyword: ``SUB``, ``CALL`` …; empty for a number alone, which begins a subprogram in Fanuc style.
     :param label: name or number of the subprogram, branch or loop; for a call possibly an expression.
     :param values: the values in brackets. IF, ELSEIF, WHILE: the condition; REPEAT: the number of rounds; CALL: the
         arguments; ENDSUB and RETURN: the value that the subprogram returns, if it has one.
@@ -111,7 +111,7 @@ class _OpenStructure(NamedTuple):
         return Fault(self.rows[0], f"O{self.label} {self.keyword} without its end")
 
 
-class Unit(Struct, eq=False):
+class ProgramFile(Struct, eq=False):
     """A file with the structure of its subprograms, loops and branches.
 
     :ivar lines: row → its parsed line, filled by `parsed_line`.
@@ -124,7 +124,7 @@ class Unit(Struct, eq=False):
 
     document: Document
     source: Source
-    lines: dict[int, Order | Block | None] = {}
+    lines: dict[int, OWord | Block | None] = {}
     next_notable_row: list[int] = []
     subs: dict[str, int] = {}
     numbered_subs: dict[str, int] = {}
@@ -132,28 +132,28 @@ class Unit(Struct, eq=False):
     faults: list[Fault] = []
 
     @classmethod
-    def from_source(cls, document: Document, source: Source) -> Unit:
+    def from_source(cls, document: Document, source: Source) -> ProgramFile:
         """Return a file with its structure.
 
         Rows are notable if they need more than copying: they have an O-word, a parameter, an expression, a % or an M
         code that affects the execution order.
         """
-        unit = cls(document, source)
+        file = cls(document, source)
         positions = np.array([match.start() for match in _NOTABLE.finditer(source.code)], dtype=np.int64)
         notable = distinct(np.searchsorted(source.ends, positions) - 1)  # line i begins after line feed i
         # for each row the next notable one, from itself on; the number of rows if there is none
         notable_and_end = np.append(notable, len(source))
-        unit.next_notable_row = notable_and_end[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
-        unit._link_structures(notable)
-        return unit
+        file.next_notable_row = notable_and_end[np.searchsorted(notable, np.arange(len(source) + 1))].tolist()
+        file._link_structures(notable)
+        return file
 
-    def parsed_line(self, row: int) -> Order | Block | None:
+    def parsed_line(self, row: int) -> OWord | Block | None:
         """Return the parsed line of a row of `next_notable_row`; None for %. Each line is parsed once.
 
         :raises BlockError: the line cannot be read.
         """
         if row not in self.lines:
-            self.lines[row] = _read_line(self.source.line(row).replace(MARK, ""))
+            self.lines[row] = _read_line(self.source.line(row).replace(COMMENT_MARK, ""))
         return self.lines[row]
 
     def defined_subprogram(self) -> str | None:
@@ -162,10 +162,11 @@ class Unit(Struct, eq=False):
         In LinuxCNC style all lines are within SUB … ENDSUB. In Fanuc style the file ends with M99, and its
         name is a number.
         """
-        is_inside = np.zeros(len(self.source), dtype=np.bool_)
+        is_in_subprogram = np.zeros(len(self.source), dtype=np.bool_)
         for first in self.subs.values():
-            is_inside[first : self.links.get(first, (first,))[-1] + 1] = True
-        main_rows = np.flatnonzero(~is_inside).tolist()
+            last = self.links.get(first, (first,))[-1]  # row of ENDSUB
+            is_in_subprogram[first : last + 1] = True
+        main_rows = np.flatnonzero(~is_in_subprogram).tolist()
         if self.subs and all(_EMPTY_LINE.fullmatch(self.source.line(row)) for row in main_rows):
             return f"O<{next(iter(self.subs))}>"
         number = _O_NUMBER.fullmatch(self.document.name.partition(".")[0])
@@ -185,20 +186,20 @@ class Unit(Struct, eq=False):
         :param notable: (n,) rows that may have O-words, ascending.
         """
         open_structures: list[_OpenStructure] = []
-        for row, order in self._rows_with_orders(notable):
-            label, keyword = str(order.label), order.keyword
+        for row, o_word in self._rows_with_o_words(notable):
+            label, keyword = str(o_word.label), o_word.keyword
             if keyword == "":
                 self.numbered_subs.setdefault(label, row)
             elif keyword == "SUB":
                 self._add_subprogram(row, label, open_structures)
-            same_label = [
+            indices = [  # open structures of the same label
                 n
                 for n, structure in enumerate(open_structures)
                 if structure.label == label and structure.keyword != "SUB"
             ]
             # WHILE ends a DO of the same label, and begins a loop otherwise
-            if keyword == "WHILE" and same_label and open_structures[same_label[-1]].keyword == "DO":
-                self._close(row, open_structures, same_label[-1])
+            if keyword == "WHILE" and indices and open_structures[indices[-1]].keyword == "DO":
+                self._close(row, open_structures, indices[-1])
             elif keyword in ("SUB", "IF", "WHILE", "DO", "REPEAT"):
                 open_structures.append(_OpenStructure(keyword, label, [row]))
             elif keyword in _OPENING_KEYWORDS:
@@ -254,31 +255,32 @@ class Unit(Struct, eq=False):
         self.links.update(dict.fromkeys(link, link))
         del open_structures[index:]
 
-    def _rows_with_orders(self, notable: Ints) -> Iterator[tuple[int, Order]]:
+    def _rows_with_o_words(self, notable: Ints) -> Iterator[tuple[int, OWord]]:
         """Yield row and O-word of notable rows (n,) that have an O-word; unreadable lines are left out."""
         for row in notable.tolist():
             if "O" in self.source.line(row):
                 try:
-                    order = self.parsed_line(row)
+                    o_word = self.parsed_line(row)
                 except BlockError:
                     continue  # reported when the line is executed
-                if isinstance(order, Order):
-                    yield row, order
+                if isinstance(o_word, OWord):
+                    yield row, o_word
 
 
-def _read_line(code: str) -> Order | Block | None:
-    """Return a packed line as an order if it begins with an O-word, else as a block; None if it begins with %.
+def _read_line(code: str) -> OWord | Block | None:
+    """Return a line as an O-word if it begins with one, else as a block; None if it begins with %.
 
+    :param code: packed code of the line, without comments, see `Source`.
     :raises BlockError: the line cannot be read.
     """
     if code.startswith("%"):
         return None
-    head = _O_WORD_START.match(code)
-    return _read_block(code) if head is None else _read_order(code, head.end())
+    o_word_start = _O_WORD_START.match(code)
+    return _read_block(code) if o_word_start is None else _read_o_word(code, o_word_start.end())
 
 
-def _read_order(code: str, position: int) -> Order:
-    """Return the order of a line with an O-word, whose label begins at character `position`.
+def _read_o_word(code: str, position: int) -> OWord:
+    """Return the O-word of a line, whose label begins at character `position`.
 
     :raises BlockError: its name, keyword or values are invalid.
     """
@@ -287,7 +289,8 @@ def _read_order(code: str, position: int) -> Order:
     label: str | Value  # an expression if the name is computed
     if name is not None:
         reader.position = name.end()
-        label = parameter_key(name[1]) if name[1] else name[2].lstrip("0") or "0"  # a name in < >, or a number
+        # a name in < >, or a number, in which leading zeros do not count
+        label = parameter_key(name[1]) if name[1] else name[2].lstrip("0") or "0"
     else:
         label = reader.read_value()
     keyword = _KEYWORD.match(code, reader.position)
@@ -306,7 +309,7 @@ def _read_order(code: str, position: int) -> Order:
     if not min_count <= len(values) <= max_count:
         problem = "too many values" if len(values) > max_count else "a value in [ ] is missing"
         raise BlockError(f"{keyword[0] or 'O number'}: {problem}", None)
-    return Order(keyword[0], label, tuple(values))
+    return OWord(keyword[0], label, tuple(values))
 
 
 def _read_block(code: str) -> Block:
@@ -315,7 +318,7 @@ def _read_block(code: str) -> Block:
     :raises BlockError: it is invalid.
     """
     settings: list[tuple[Callable[[Parameters], Key], Value]] = []
-    parts: list[str | tuple[str, Value]] = []
+    words: list[str | tuple[str, Value]] = []
     reader = Reader(code)
     while reader.position < len(code):
         if code[reader.position] == "#":
@@ -327,15 +330,15 @@ def _read_block(code: str) -> Block:
             continue
         literal = _LITERAL.match(code, reader.position)
         if literal is not None:
-            parts.append(literal[0])
+            words.append(literal[0])
             reader.position = literal.end()
         elif code[reader.position] == "[":
             raise BlockError("an expression without a word before it", "Write comments in ( ), or after a semicolon.")
         else:
             letter = code[reader.position]
             reader.position += 1
-            parts.append((letter, reader.read_value()))
-    return Block(tuple(settings), tuple(parts))
+            words.append((letter, reader.read_value()))
+    return Block(tuple(settings), tuple(words))
 
 
 def _word_text(letter: str, value: float) -> str:

@@ -38,7 +38,7 @@ WORD_LIMIT = 1e7
 """Words of this magnitude or more (10 km, in mm) are refused as mistakes."""
 
 Bytes = NDArray[np.uint8]
-MARK = "\x01"
+COMMENT_MARK = "\x01"
 """Replaces a comment in `Source.code`."""
 
 _COMMENTS = {"(": r"\(([^()\r\n]*)\)", ";": r";([^\r\n]*)", '"': r"[Mm][Ss][Gg][ \t]*\"([^\"\r\n]*)\""}
@@ -52,10 +52,11 @@ _PACKING_TABLE = bytes(ord("\n") if c in b"\0\r" else c for c in range(256)).upp
 _COORDINATE_WORD = re.compile(rb"[XYZ][-+.\d#\[]")
 _LINE_NUMBER = re.compile(rb"\nN\d{1,15}(?=[A-Z\n\x01])")
 
-CUT_SHORT = "the program ends here, but coordinates follow", "Remove this %, or what follows it."
+EARLY_PERCENT = "the program ends here, but coordinates follow", "Remove this %, or what follows it."
 """Problem and advice for a % between blocks."""
 
-_END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER_WORD = range(7)
+# classes of characters: line feed, digit, …, comment, and all that plain blocks do not have
+_END, _DIGIT, _DOT, _SIGN, _LETTER, _MARK, _OTHER_CHARACTER = range(7)
 _CLASSES = {
     b"\n": _END,
     b"0123456789": _DIGIT,
@@ -64,7 +65,8 @@ _CLASSES = {
     _PLAIN_LETTERS.encode(): _LETTER,
     b"\x01": _MARK,
 }
-_CLASS_TABLE = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER_WORD) for c in range(256))
+_CLASS_TABLE = bytes(next((v for chars, v in _CLASSES.items() if c in chars), _OTHER_CHARACTER) for c in range(256))
+"""Byte of a character → its class."""
 _FOLLOWERS = {
     _END: (_END, _LETTER, _MARK),
     _DIGIT: (_DIGIT, _DOT, _END, _LETTER, _MARK),
@@ -72,17 +74,19 @@ _FOLLOWERS = {
     _SIGN: (_DIGIT, _DOT),
     _LETTER: (_DIGIT, _DOT, _SIGN),
     _MARK: (_END, _LETTER, _MARK),
-    _OTHER_WORD: (),
+    _OTHER_CHARACTER: (),
 }
+"""Class of a character → classes of the characters that may follow it in a plain block."""
 _WRONG_PAIR = bytes(p & 7 not in _FOLLOWERS.get(p >> 3, ()) for p in range(256))
+"""Two classes as one byte, the first shifted by three bits → 1 if the second may not follow the first."""
 _TO_NUMBERS = bytes(c if c in b"0123456789.+-" else ord(" ") for c in range(256))
 
 
 class Source(Struct, frozen=True, eq=False):
-    """A G-code file without the characters that a control ignores.
+    """A G-code file without the characters that a control ignores: its packed code.
 
-    :param code: one byte a character, upper case, no white space, every comment one `MARK`; begins with a line feed,
-        and every line ends with one, whatever the file uses.
+    :param code: one byte a character, upper case, no white space, every comment one `COMMENT_MARK`; begins with a line
+        feed, and every line ends with one, whatever the file uses.
     :param ends: (L + 1,) positions of the line feeds; row i, line i + 1 of the file, is
         ``code[ends[i] + 1 : ends[i + 1]]``.
     :param comments: text of the comments without brackets or semicolon, in order.
@@ -98,7 +102,7 @@ class Source(Struct, frozen=True, eq=False):
         return len(self.ends) - 1
 
     def line(self, row: int) -> str:
-        """Return the packed code of a row, which is line `row` + 1 of the file."""
+        """Return the packed code of a row (from 0), which is line `row` + 1 of the file."""
         return self.code[self.ends[row] + 1 : self.ends[row + 1]].decode("ascii")
 
     def rows_with_coordinates(self, row: int) -> Ints:
@@ -108,9 +112,9 @@ class Source(Struct, frozen=True, eq=False):
         ]
         return distinct(np.searchsorted(self.ends, np.array(positions, dtype=np.int64)) - 1)
 
-    def is_cut_short(self, row: int) -> bool:
-        """Return whether coordinates follow a row that ends the program by %, at its begin or end."""
-        line = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(MARK.encode())
+    def has_coordinates_after_percent(self, row: int) -> bool:
+        """Return whether a row begins or ends with %, which ends the program, and coordinates follow it."""
+        line = self.code[self.ends[row] + 1 : self.ends[row + 1]].strip(COMMENT_MARK.encode())
         has_percent = line.startswith(b"%") or line.endswith(b"%")
         return has_percent and _COORDINATE_WORD.search(self.code, int(self.ends[row + 1])) is not None
 
@@ -154,7 +158,7 @@ def split(document: Document) -> Source:
     text = document.text
     if "?" in text:
         text = _STATUS_QUERY.sub("$?", text)  # marks the command to Grbl: characters that are not ASCII become ? below
-    text, comments = _mark_comments(text.replace(MARK, "?"))  # the file has no mark of its own then
+    text, comments = _mark_comments(text.replace(COMMENT_MARK, "?"))  # the file has no mark of its own then
     code_bytes = text.encode("ascii", "replace")
     if b"\r" in code_bytes:
         code_bytes = code_bytes.replace(b"\r\r\n", b"\0").replace(b"\r\n", b"\0")
@@ -162,13 +166,15 @@ def split(document: Document) -> Source:
     code = b"\n" + code_bytes if code_bytes.endswith(b"\n") else b"\n" + code_bytes + b"\n"
     ends = line_feeds(code)
     marks = (
-        np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(MARK)) if comments else np.zeros(0, dtype=np.int64)
+        np.flatnonzero(np.frombuffer(code, dtype=np.uint8) == ord(COMMENT_MARK))
+        if comments
+        else np.zeros(0, dtype=np.int64)
     )
     return Source(code, ends, comments, np.searchsorted(ends, marks))
 
 
 def _mark_comments(text: str) -> tuple[str, tuple[str, ...]]:
-    """Return a text with `MARK` in place of each comment, and the comments in order, without brackets or semicolon.
+    """Return a text with a `COMMENT_MARK` for each comment, and the comments in order, without brackets or semicolon.
 
     A comment with brackets inside stays in the text if some controls would read part of it as a block.
     """
@@ -187,7 +193,7 @@ def _mark_comments(text: str) -> tuple[str, tuple[str, ...]]:
         comments.append(match[match.lastindex or 1])  # each form has one group
         parts.append(text[text_start : match.start()])
         text_start = match.end()
-    return MARK.join([*parts, text[text_start:]]), tuple(comments)
+    return COMMENT_MARK.join([*parts, text[text_start:]]), tuple(comments)
 
 
 def line_feeds(code: bytes) -> Ints:
@@ -200,12 +206,13 @@ def _is_comment(text: str) -> bool:
 
     It is not if a control that ends it at its first closing bracket would read the text after that as a block.
     """
-    remaining_text = _INNER_COMMENT.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
-    return _BLOCK_TEXT.fullmatch("".join(remaining_text.split())) is None
+    # the text between the first closing bracket and the last; a comment after a semicolon has none
+    text_behind_bracket = _INNER_COMMENT.sub("", text.partition(")")[2])[:-1] if text.startswith("(") else ""
+    return _BLOCK_TEXT.fullmatch("".join(text_behind_bracket.split())) is None
 
 
 def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
-    """Read the plain motion blocks of a program in bulk.
+    """Read the plain motion blocks of a program (see the module) in bulk.
 
     :param rotary: letters of the rotary axes; a line with another letter of A, B, C is not plain.
     :returns: the words of the plain blocks, and the rows (n,) of all other lines with text, ascending.
@@ -218,11 +225,11 @@ def read_plain(source: Source, rotary: str = "") -> tuple[Words, Ints]:
 
 
 def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words) -> Ints:
-    """Read the plain blocks of some lines into `words`.
+    """Read the plain blocks of some lines into `words`: N and one each of G0…G3, X, Y, Z …, all as decimal numbers.
 
     :param first: row of the first line; `last`: row after the last.
-    :param rotary: see `read_plain`.
-    :returns: rows (n,) of the lines that are not plain.
+    :param rotary: letters of the rotary axes.
+    :returns: rows (n,) of the lines that are not plain, which the parser for single blocks reads.
     """
     count = last - first
     code = source.code[source.ends[first] : source.ends[last] + 1]
@@ -239,25 +246,25 @@ def _read_lines(source: Source, first: int, last: int, rotary: str, words: Words
         letters, row = letters[is_plain], row[is_plain]
         code = _blanked(code, ends, needs_parser)
     letter = np.frombuffer(code, dtype=np.uint8)[letters]
-    value = _numbers(code)
+    value = _numbers(code)  # the number behind each of `letters`
 
     by_letter = {name: np.flatnonzero(letter == ord(name)) for name in _PLAIN_LETTERS if name.encode() in code}
-    refused_rows = [row[np.abs(value) >= WORD_LIMIT]]
+    refused_row_parts = [row[np.abs(value) >= WORD_LIMIT]]
     for name, indices in by_letter.items():
         rows, letter_values = row[indices], value[indices]
         if name in "ABC" and name not in rotary:
-            refused_rows.append(rows)
+            refused_row_parts.append(rows)
             continue
         words.put(name, first + rows, letter_values)
-        refused_rows.append(rows[1:][rows[1:] == rows[:-1]])  # the letter twice in a line
+        refused_row_parts.append(rows[1:][rows[1:] == rows[:-1]])  # the letter twice in a line
         if name == "F":
-            refused_rows.append(rows[letter_values < 0.0])
+            refused_row_parts.append(rows[letter_values < 0.0])
         elif name == "G":
             is_motion_code = np.isin(letter_values, (0.0, 1.0, 2.0, 3.0)) & ~np.signbit(letter_values)  # not G-0
-            refused_rows.append(rows[~is_motion_code])
-    odd_rows = np.concatenate(refused_rows)
-    words.remove(first + odd_rows)
-    needs_parser[odd_rows] = True
+            refused_row_parts.append(rows[~is_motion_code])
+    refused_rows = np.concatenate(refused_row_parts)
+    words.remove(first + refused_rows)
+    needs_parser[refused_rows] = True
     return first + np.flatnonzero(needs_parser)
 
 
@@ -277,7 +284,9 @@ def _numbers(code: bytes) -> Array:
     number_texts = code.translate(_TO_NUMBERS)  # blanks between the numbers
     characters = np.frombuffer(number_texts, dtype=np.uint8)
     values = parsed_numbers(characters, *word_bounds(characters))
-    return np.fromstring(number_texts, sep=" ") if values is None else values  # numbers with too many digits
+    if values is None:  # numbers with more digits than the fast method reads
+        return np.fromstring(number_texts, sep=" ")
+    return values
 
 
 def _malformed_words(kind: Bytes) -> Ints:
@@ -292,27 +301,30 @@ def _malformed_words(kind: Bytes) -> Ints:
     positions = [wrong, bare_dots]
     if bytes((_DOT, _DOT)) in kind.tobytes().translate(None, bytes((_DIGIT,))):
         # two dots with only digits between them
-        others = np.flatnonzero(kind != _DIGIT)
-        positions.append(others[1:][(kind[others[1:]] == _DOT) & (kind[others[:-1]] == _DOT)])
+        non_digits = np.flatnonzero(kind != _DIGIT)
+        is_second_dot = (kind[non_digits[1:]] == _DOT) & (kind[non_digits[:-1]] == _DOT)
+        positions.append(non_digits[1:][is_second_dot])
     return np.concatenate(positions)
 
 
 def no_plain_words(source: Source) -> tuple[Words, Ints]:
     """Return empty words and the rows (n,) of all lines with text: `read_plain` without plain lines (for tests)."""
-    rows = [row for row in range(len(source)) if source.line(row).strip(MARK)]
+    rows = [row for row in range(len(source)) if source.line(row).strip(COMMENT_MARK)]
     return Words(len(source)), np.array(rows, dtype=np.int64)
 
 
-_WORD = re.compile(rf"{MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
-_PROGRAM_NUMBER = re.compile(rf"{MARK}*(?:N\d+{MARK}*)?[O:]\d+{MARK}*")
+_WORD = re.compile(rf"{COMMENT_MARK}*([A-Z])([+-]?(?:\d+\.?\d*|\.\d+))")
+_PROGRAM_NUMBER = re.compile(rf"{COMMENT_MARK}*(?:N\d+{COMMENT_MARK}*)?[O:]\d+{COMMENT_MARK}*")
 
 
-_BARE_HOME = re.compile(rf"{MARK}*(?:N\d{{1,15}}{MARK}*)?G(28|30){MARK}*([XYZ]{{1,3}}){MARK}*")
+_BARE_HOME = re.compile(
+    rf"{COMMENT_MARK}*(?:N\d{{1,15}}{COMMENT_MARK}*)?G(28|30){COMMENT_MARK}*([XYZ]{{1,3}}){COMMENT_MARK}*"
+)
 
 _MOST_WORDS = 100
 """More words than all letters and modal groups together: such a block is refused."""
 _MOST_DIGITS = 15
-"""Whole numbers of more digits are not exact as floats."""
+"""Whole numbers of more digits are not exact as floats, and could name another line, tool or count (N, T, L)."""
 _CHARACTER_ADVICE = {
     "/": "Write / at the beginning of the block.",
     ",": "Write decimals with a point: X10.5. Corners (,R and ,C) are not read: let the CAM system write them out.",
@@ -373,11 +385,11 @@ class BlockError(Exception):
 
 
 def words_of(code: str) -> list[tuple[str, float]]:
-    """Return the words of a packed block, (letter, value) in order, without its N word or program number.
+    """Return the words of a block, (letter, value) in order, without its N word or program number.
 
     G28 and G30 may have letters without numbers for the axes that go home (``G28 X Y``, Marlin): their value is NaN.
 
-    :param code: packed text of the block, as `Source.line` returns it.
+    :param code: packed code of the block, see `Source`.
     :raises BlockError: part of the block is not a word, a word is repeated or out of range, or two codes exclude each
         other.
     """
@@ -388,7 +400,7 @@ def words_of(code: str) -> list[tuple[str, float]]:
     bare = _BARE_HOME.fullmatch(code)
     if bare is not None and len(set(bare[2])) == len(bare[2]):
         return [("G", float(bare[1])), *((letter, float("nan")) for letter in bare[2])]
-    pairs = _letters_and_numbers(code)
+    pairs = _letters_and_numbers(code)  # as texts
     try:
         block = Block(" ".join(letter + number for letter, number in pairs))
     except AssertionError as cause:
@@ -411,34 +423,41 @@ def words_of(code: str) -> list[tuple[str, float]]:
 
 
 def _letters_and_numbers(code: str) -> list[tuple[str, str]]:
-    """Return letter and number text of each word of a packed block, in order.
+    """Return letter and number text of each word of a block, in order; comments before and between words are skipped.
 
+    :param code: upper case, without white space, with a `COMMENT_MARK` for each comment.
+    :returns: number texts as pygcode reads them, see `_pygcode_number`.
     :raises BlockError: a character, number or word is invalid, or a letter other than G and M occurs twice.
     """
     pairs: list[tuple[str, str]] = []
-    position, stop = 0, len(code.rstrip(MARK))
+    position, stop = 0, len(code.rstrip(COMMENT_MARK))
     while position < stop:
         match = _WORD.match(code, position)
         if match is None:
-            raise BlockError(*_fault_of_text(code[position:].lstrip(MARK)))
-        if match[1] in "LNT" and len(match[2]) > _MOST_DIGITS:
-            raise BlockError(f"{match[0].lstrip(MARK)[:20]}… has too many digits", None)
-        if match[1] in "MT" and "." in _pygcode_number(match[1], match[2]):
-            raise BlockError(f"{match[1]}{match[2]} is not a whole number", _WHOLE_NUMBER_ADVICE[match[1]])
-        if match[1] == "O":
+            raise BlockError(*_fault_of_text(code[position:].lstrip(COMMENT_MARK)))
+        letter, number = match[1], _pygcode_number(match[1], match[2])
+        # N, T and L are whole numbers: longer ones are not exact as floats
+        if letter in "LNT" and len(match[2]) > _MOST_DIGITS:
+            raise BlockError(f"{match[0].lstrip(COMMENT_MARK)[:20]}… has too many digits", None)
+        if letter in "MT" and "." in number:
+            raise BlockError(f"{letter}{match[2]} is not a whole number", _WHOLE_NUMBER_ADVICE[letter])
+        if letter == "O":
             raise BlockError("an O word among other words", _O_ADVICE)
-        pairs.append((match[1], _pygcode_number(match[1], match[2])))
+        pairs.append((letter, number))
         if len(pairs) > _MOST_WORDS:
             raise BlockError(f"more than {_MOST_WORDS} words in one block", "Check the line ends of the file.")
         position = match.end()
     for letter, count in Counter(letter for letter, _ in pairs).items():
-        if count > 1 and letter not in "GM":
+        if count > 1 and letter not in "GM":  # a block may have several codes
             raise BlockError(f"{count} {letter} words in one block", "Write one block for each.")
     return pairs
 
 
 def _pygcode_number(letter: str, number: str) -> str:
-    """Return the text of a number in the form that pygcode reads: no plus sign; in codes no zeros after the point."""
+    """Return the text of a number in the form that pygcode reads: no plus sign; in G, M and T no zeros after the point.
+
+    ``+1.50`` of X becomes ``1.50``, ``54.10`` of G ``54.1``.
+    """
     number = number.lstrip("+")
     if letter in "GMT" and "." in number:
         number = number.rstrip("0").rstrip(".") or "0"
