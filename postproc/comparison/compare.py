@@ -250,7 +250,6 @@ def _complete_cuts(
     )
     cuts = cuts_between_pairs(comparison, cuts, nominal_path, corrected_path, loads.path)
     tolerance = nominal_path.robot_in_cell.tolerance
-    tolerance = nominal_path.robot_in_cell.tolerance
     rows_on_path = cuts.row[(cuts.t == 1.0) & (cuts.corrected_distance <= tolerance)]  # t = 1: targets
     return count_as_inserted(replace(comparison, cuts=cuts), np.isin(comparison.additional_rows, rows_on_path))
 

@@ -123,10 +123,12 @@ def compare_programs(request: CompareRequest) -> ComparisonFiles:
         refuse(find_foreign_files(folder, names, record))
     source = force_source(request.forces, cell)
     file_origin = _origin_of_second(request, cell, nominal, second_program)
-    if file_origin.without_forces:
-        _require_stated_forces(request, file_origin.origin)
-    ends = _stated_ends(request.corrected) if file_origin.same_origin else None
-    comparison = compare(nominal, second_program, robot, cell, source, same_origin=file_origin.same_origin, ends=ends)
+    if file_origin.lacks_force_file:
+        _require_stated_forces(request, file_origin.stated_origin)
+    ends = _stated_ends(request.corrected) if file_origin.is_made_from_inputs else None
+    comparison = compare(
+        nominal, second_program, robot, cell, source, same_origin=file_origin.is_made_from_inputs, ends=ends
+    )
     content = comparison_summary(comparison, file_origin, cell.tolerance, cell.output.max_correction_mm * M_PER_MM)
     contents: dict[str, bytes | Iterable[bytes]] = {
         pairs: pairs_csv(comparison),
@@ -253,13 +255,16 @@ def _origin_of_second(request: CompareRequest, cell: Cell, nominal: Program, sec
         return ProgramOrigin(origin, {})
     request_origin = origin_of(nominal.documents, request.cell, cell, request.forces, "corrected")
     key_of_input = {"program": "source", "cell": "cell", "robot model": "model", "force file": "forces"}
-    agrees = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in key_of_input.items()}
+    input_agreement = {name: origin.sums.get(key) == getattr(request_origin, key) for name, key in key_of_input.items()}
     if nominal_origin.state == "intact" and nominal_origin.mode == "nominal":  # both were written from one program
-        agrees |= {
+        input_agreement |= {
             name: nominal_origin.sums.get(key_of_input[name]) == origin.sums.get(key_of_input[name])
             for name in ("program", "force file")
         }
-    without_forces = request.forces is None and not agrees["force file"]
-    if without_forces:
-        del agrees["force file"]
-    return ProgramOrigin(origin, agrees, origin.state == "intact" and all(agrees.values()), without_forces)
+    lacks_force_file = request.forces is None and not input_agreement["force file"]
+    if lacks_force_file:
+        del input_agreement["force file"]
+    is_made_from_inputs = origin.state == "intact" and all(input_agreement.values())
+    return ProgramOrigin(
+        origin, input_agreement, is_made_from_inputs=is_made_from_inputs, lacks_force_file=lacks_force_file
+    )

@@ -65,7 +65,7 @@ def verdict_section(data: IdentificationRecord) -> Section | None:
     if data.torque_Nm is not None:
         torques = ", ".join(f"{torque:.0f}" for torque in data.torque_Nm)
         notes.append(Note(f"The loads put up to {torques} N·m on A1 … A6: work that puts more is extrapolated."))
-    return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), marked=True),) if notes else ())))
+    return Section("verdict", "Verdict", (part, *((Notes(tuple(notes), bulleted=True),) if notes else ())))
 
 
 def summary_section(data: IdentificationRecord) -> Section | None:
@@ -115,7 +115,7 @@ def findings_section(data: IdentificationRecord) -> Section:
     warnings = tuple(
         Note(text, "warning") for text in data.warnings if not text.startswith(stated_beginnings or ("\0",))
     )
-    return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, marked=True),))
+    return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, bulleted=True),))
 
 
 def configurations_section(data: IdentificationRecord) -> Section | None:

@@ -137,7 +137,7 @@ def index_page(entries: Sequence[Entry], folder: str) -> bytes:
     sections = [Section("programs", "Programs", tuple(parts))]
     if failures:
         notes = tuple(Note(f"{entry.name}: {entry.message}") for entry in failures)
-        sections.append(Section("failed", "Not written", (Notes(notes, marked=True),)))
+        sections.append(Section("failed", "Not written", (Notes(notes, bulleted=True),)))
     footer = Note(
         "Expected errors on the part (95 %) on the cutting path, in millimetres; the chance that correction makes the "
         "part better. A name leads to the report of the program."

@@ -53,7 +53,7 @@ def material_page(material: IdentifiedMaterial, readings: CutReadings, name: str
     sections = [Section("numbers", "How well it fits", (Tiles(tuple(tiles)),))]
     if material.warnings:
         notes = tuple(Note(f"{text}.", "warning") for text in material.warnings)
-        sections.append(Section("issues", "What to know", (Notes(notes, marked=True),)))
+        sections.append(Section("issues", "What to know", (Notes(notes, bulleted=True),)))
     fit = material.predictor @ material.value
     has_several_modes = len(set(readings.mode)) > 1
     for component in sorted(set(material.component.tolist())):

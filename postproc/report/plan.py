@@ -402,7 +402,7 @@ def warnings_section(result: PlanResult) -> Section | None:
     if not result.warnings:
         return None
     notes = tuple(Note(f"{text}.", "warning") for text in result.warnings)
-    return Section("warnings", "Before you measure", (Notes(notes, marked=True),))
+    return Section("warnings", "Before you measure", (Notes(notes, bulleted=True),))
 
 
 def comparison_section(result: PlanResult) -> Section | None:

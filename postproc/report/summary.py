@@ -278,27 +278,32 @@ def _unjudged_summary(
 
 def _limits(result: Result) -> Limits:
     """Return the margins of the joints to their limits [deg] and the smallest singular value [m/rad]."""
-    margin = result.joint_margin * DEG_PER_RAD
+    margins_deg = result.joint_margin * DEG_PER_RAD  # (6,)
     return Limits(
-        min_joint_margin_deg=_finite_or_none(float(margin.min())),
+        min_joint_margin_deg=_finite_or_none(float(margins_deg.min())),
         min_singular_value=_finite_or_none(result.singular_value),
-        joint_margins_deg=[_finite_or_none(float(margin_deg)) for margin_deg in margin],
+        joint_margins_deg=[_finite_or_none(float(margin)) for margin in margins_deg],
     )
 
 
 def _module_entries(result: Result) -> list[ModuleEntry]:
     """Return an entry for each written module, in the order in which the modules run; empty for a single program."""
+    module_documents = result.documents if result.modules else ()
     return [
-        ModuleEntry(name=document.name, size_bytes=len(document.to_bytes()), source_line=int(result.source_line[first]))
-        for document, first in zip(result.documents if result.modules else (), result.modules, strict=True)
+        ModuleEntry(
+            name=document.name,
+            size_bytes=len(document.to_bytes()),
+            source_line=int(result.source_line[first_target]),
+        )
+        for document, first_target in zip(module_documents, result.modules, strict=True)
     ]
 
 
 def _redundancy_entry(result: Result) -> Redundancy | None:
     """Return the turn of the tool about its axis, chosen or constant; None if the program determines it."""
-    if result.turn is None:
-        constant = result.redundancy_deg
-        return None if constant is None else Redundancy(mode="constant", min_deg=constant, max_deg=constant)
+    if result.turn is None:  # it was not chosen: it is that of the cell, or of the program
+        constant_deg = result.redundancy_deg
+        return None if constant_deg is None else Redundancy("constant", min_deg=constant_deg, max_deg=constant_deg)
     low, high = result.turn.range_deg()
     return Redundancy(mode=result.turn.mode, min_deg=round(low, 3), max_deg=round(high, 3))
 
@@ -306,18 +311,19 @@ def _redundancy_entry(result: Result) -> Redundancy | None:
 def _is_tolerance_held(result: Result, prediction: Statistics, tolerance: float | None) -> bool | None:
     """Return whether the path holds a tolerance [m].
 
-    None if no tolerance is stated, or if only the rounding of corners by approximation exceeds it. The rounding counts
-    as far as it exceeds that of the program read.
+    None if no tolerance is stated, or if only the rounding of corners by approximation exceeds it: how far a controller
+    really rounds is not known. The rounding counts as far as it exceeds that of the program read.
+
+    :param prediction: distances of the tip from nominal at the targets, with the program as written [m].
     """
     if tolerance is None:
         return None
-    path_deviation = (
-        max(prediction.largest, result.path_deviation) if math.isfinite(result.path_deviation) else math.inf
-    )
+    is_path_known = math.isfinite(result.path_deviation)  # between the targets
+    path_deviation = max(prediction.largest, result.path_deviation) if is_path_known else math.inf
     if not path_deviation <= tolerance:  # not ≤: an unknown deviation (NaN) does not hold it
         return False
-    extra_rounding = result.rounding - result.programmed_rounding
-    return True if path_deviation + extra_rounding[_is_next_to_cut(result)].max(initial=0.0) <= tolerance else None
+    extra_rounding = (result.rounding - result.programmed_rounding)[_is_next_to_cut(result)].max(initial=0.0)
+    return True if path_deviation + extra_rounding <= tolerance else None
 
 
 def _blending_entry(result: Result) -> Blending:
@@ -326,16 +332,16 @@ def _blending_entry(result: Result) -> Blending:
     0 without a line if no corner of a cut is rounded. The word for approximation is that of the written language; if
     nothing is written, that of the language in which the program would be written.
     """
-    cuts = np.flatnonzero(_is_next_to_cut(result))
-    worst = cuts[np.argmax(result.rounding[cuts])] if len(cuts) else None
+    corners = np.flatnonzero(_is_next_to_cut(result))
+    worst_corner = corners[np.argmax(result.rounding[corners])] if len(corners) else None
     _, writer = registry.written_in(result.written_dialect)
-    if worst is None or not result.rounding[worst] > 0.0:  # not >: unknown (NaN) too
+    if worst_corner is None or not result.rounding[worst_corner] > 0.0:  # not >: unknown (NaN) too
         return Blending(by=writer.approximation, max_mm=0.0, programmed_max_mm=0.0, source_line=None)
     return Blending(
         by=writer.approximation,
-        max_mm=float(result.rounding[worst]) * MM_PER_M,
-        programmed_max_mm=float(result.programmed_rounding[cuts].max()) * MM_PER_M,
-        source_line=int(result.source_line[worst]),
+        max_mm=float(result.rounding[worst_corner]) * MM_PER_M,
+        programmed_max_mm=float(result.programmed_rounding[corners].max()) * MM_PER_M,
+        source_line=int(result.source_line[worst_corner]),
     )
 
 
@@ -365,7 +371,7 @@ def _expected_error(result: Result) -> ExpectedError | None:
     """Return the bound (95 %) of the error on the part along the cutting path [mm]; None without a covariance."""
     if result.bound is None:
         return None
-    bound = statistics(result.bound, result.cut_length)
+    bound = statistics(result.bound, result.cut_length)  # [m]
     return ExpectedError(max_mm=bound.largest * MM_PER_M, rms_mm=bound.rms * MM_PER_M, basis=result.robot.basis)
 
 
@@ -414,17 +420,22 @@ def _part_entry(result: Result, tolerance: float | None) -> OnPart:
 
 
 def _surface_entry(result: Result, surface: Surface) -> OnSurface:
-    """Return the largest depth of the programmed path in the part and material left [mm], and the reached share [%]."""
-    cut_facets = np.flatnonzero(surface.programmed_row >= 0)
-    # below 0 the programmed path is inside the part
-    deepest = cut_facets[np.argmin(surface.programmed[cut_facets])] if len(cut_facets) else None
-    area = surface.area
-    is_left = surface.is_touched & (surface.programmed_row < 0) & np.isfinite(surface.programmed)
-    height, height_area = surface.programmed[is_left], area[is_left]
+    """Return the largest depth of the programmed path in the part, the median height of the material that it leaves
+    [mm], and the share of the surface that tools reach [%].
+    """
+    # height [m] of the programmed path over each facet of the mesh, without deflection: below 0 it cuts into the part
+    height, area = surface.programmed, surface.area
+    is_cut_into = surface.programmed_row >= 0  # row of the target that cuts in; −1: none does
+    cut_facets = np.flatnonzero(is_cut_into)
+    deepest_facet = cut_facets[np.argmin(height[cut_facets])] if len(cut_facets) else None
+    # touched: the tool passes the facet within a limit; reached: it touches it or cuts into it
+    has_material_left = surface.is_touched & ~is_cut_into & np.isfinite(height)
+    left_height, left_area = height[has_material_left], area[has_material_left]
+    median_height = weighted_quantile(left_height, left_area, 0.5) if left_area.any() else None
     return OnSurface(
-        cut_into_mm=0.0 if deepest is None else -float(surface.programmed[deepest]) * MM_PER_M,
-        source_line=None if deepest is None else int(result.source_line[surface.programmed_row[deepest]]),
-        left_mm=weighted_quantile(height, height_area, 0.5) * MM_PER_M if height_area.any() else None,  # the median
+        cut_into_mm=0.0 if deepest_facet is None else -float(height[deepest_facet]) * MM_PER_M,
+        source_line=None if deepest_facet is None else int(result.source_line[surface.programmed_row[deepest_facet]]),
+        left_mm=None if median_height is None else median_height * MM_PER_M,
         # 1e-300 keeps a mesh without area from dividing by zero
         reached_percent=100.0 * float(area[surface.is_reached].sum() / max(float(area.sum()), 1e-300)),
     )

@@ -62,7 +62,7 @@ def design_page(
     sections = (
         Section("numbers", "What the part will show", (_design_tiles(design, programs),)),
         Section("drawing", "Drawing", _drawings(design, cutting, programs, box)),
-        Section("steps", "How to use it", (Notes(_design_steps(programs, box), marked=True),)),
+        Section("steps", "How to use it", (Notes(_design_steps(programs, box), bulleted=True),)),
         Section("parameters", "What each parameter will be known to", (_parameter_table(design, prior), remarks)),
         Section("features", "Features", (_feature_table(design, programs),)),
     )
@@ -525,7 +525,7 @@ def part_page(data: PartIdentification, name: str) -> bytes:
         Section("measured", "Measured and predicted", (_prediction_plot(data),), "half"),
         Section("errors", "Remaining errors", (_error_plot(data),), "half"),
         Section("parameters", "Parameters", (_interval_plot(data), _value_table(data))),
-        Section("issues", "What to know", (Notes(tuple(notes), marked=True),)),
+        Section("issues", "What to know", (Notes(tuple(notes), bulleted=True),)),
         Section("points", "Probed points", (_point_table(data),)),
     )
     return b"".join(Page("Model from a test part", name, f"{len(data.points)} probed points", sections).render())

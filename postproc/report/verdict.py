@@ -30,7 +30,7 @@ from postproc.report.formatting import State, above_limit_text, two_digit_text
 from postproc.robot import JOINTS, RobotModel
 
 if TYPE_CHECKING:
-    from postproc.report.summary import OnPart, Summary
+    from postproc.report.summary import Blending, OnPart, Summary
 
 NOTHING_MM = 1e-6
 """Deviations below this everywhere are noise of the arithmetic (assumed)."""
@@ -59,10 +59,10 @@ LEFT_MM = 0.1
 """Height [mm] of material that a finishing path may leave between passes, and by the facets of the mesh (assumed)."""
 SOLID = "link masses"
 """Name of an assumed value of the model that changes only the weights of the links: see `assumed_values`."""
-_FIRST_COST = np.inf
-"""Cost [mm] of a finding that is sorted before all others."""
-_NO_COST = 0.0
-"""Cost [mm] of a finding that is not a length: it is sorted last."""
+_SORTED_FIRST = np.inf
+"""In place of the error [mm] of a finding: it is sorted before all others."""
+_SORTED_LAST = 0.0
+"""In place of the error [mm] of a finding that is not about a length: it is sorted last."""
 _AFTER_TOOL_CHANGE = "after-tool-change"
 """Kind of the issue of a path that begins where a called program leaves the robot."""
 _FRAMES_AT_REST = "frames-at-rest"
@@ -74,12 +74,12 @@ STOCK_REMARK = "The stock is assumed: check it first."
 
 
 class Finding(Struct, frozen=True):
-    """A statement of a verdict, with its cost: the error on the part [mm] that it can mean.
+    """A statement of a verdict, with the error on the part [mm] that it can mean.
 
-    Findings are sorted by cost.
+    Findings are shown by this error, the largest first; `_SORTED_FIRST` and `_SORTED_LAST` stand in for it.
     """
 
-    cost_mm: float
+    error_mm: float
     text: str
 
 
@@ -92,12 +92,15 @@ def verdict(result: Result, content: Summary, other_remedies: Sequence[Remedy] =
     warnings = [issue for issue in result.issues if issue.level == "warning"]
     # kinds of issues of one joint end in its name, such as "-A2"
     force_warnings = [issue for issue in warnings if issue.kind.partition("-A")[0] in _FORCE_KINDS]
-    drive = _drive_answer(result, content, [issue for issue in warnings if issue not in force_warnings])
+    motion_warnings = [issue for issue in warnings if issue not in force_warnings]
+    drive = _drive_answer(result, content, motion_warnings)
     tolerance = _tolerance_answer(result, content, other_remedies)
     better = _improvement_answer(result, content, _issue_findings(force_warnings, result.mode), tolerance)
-    holds = _passed_findings(result, content)
+    passed_checks = _sorted_texts(_passed_findings(result, content))
     remark = STOCK_REMARK if any(issue.kind == ASSUMED_STOCK for issue in result.issues) else ""
-    return verdict_of(result.mode, drive, better, tolerance, _sorted_texts(holds), _assumptions(result), remark=remark)
+    return verdict_of(
+        result.mode, drive, better, tolerance, holds=passed_checks, assumes=_assumptions(result), remark=remark
+    )
 
 
 def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -> Drive:
@@ -108,7 +111,7 @@ def _drive_answer(result: Result, content: Summary, warnings: Sequence[Issue]) -
     errors = [issue.message for issue in result.issues if issue.level == "error"]
     doubts = _issue_findings(warnings, result.mode)
     if content.targets:  # else no motion was examined
-        surface_doubts, _ = _surface_findings(content)  # the others are findings that speak for the program
+        surface_doubts, _ = _surface_findings(content)  # findings in favour of the program are in `holds`
         doubts = [*surface_doubts, *_narrow_margin_findings(content), *doubts]
     # name of each check → whether it was made
     checks = {
@@ -135,13 +138,16 @@ def _improvement_answer(
     """Return the answer whether the corrected program is better than the uncorrected one.
 
     The errors in the answer are None if the model states no uncertainty, or if the program that is read is corrected.
+    The answer is "failed" if the chance of a gain is below `HARMFUL_CHANCE`, a "warning" below `UNCERTAIN_CHANCE`.
 
     :param doubts: findings about forces and model.
     :param tolerance: answer on the tolerance: if the tolerance is held, a wide bound is no doubt. None: no answer.
     """
-    # the correction is judged under the forces for which it is made, not under those of the deflected tool
+    # a correction is made for the forces of the nominal engagement, so it is judged under them: a prediction may be
+    # computed with those of the deflected tool, and `engagement_result` then is the prediction with the nominal ones
     judged_result = result if result.engagement_result is None else result.engagement_result
-    errors, failures = judged_result.errors, list[Finding]()
+    errors = judged_result.errors  # None: the model states no uncertainty
+    failures = list[Finding]()
     doubts = [*doubts, *_doubts_of_input(result, content, is_error_known=errors is not None)]
     if errors is None or _is_corrected_input(content):
         return Improvement(
@@ -155,13 +161,14 @@ def _improvement_answer(
         )
     uncorrected, corrected = (statistics(error, judged_result.cut_length) for error in (errors.before, errors.after))
     corrected_mm = corrected.largest * MM_PER_M
-    # the chance matters only if deviations are larger than the tolerance of the path, or than CUT_MM
-    largest_mm = max(content.before.max_mm, content.after.max_mm)
-    is_chance_judged = content.mode == "convert" and largest_mm > min(content.tolerance_mm or CUT_MM, CUT_MM)
+    # where all deviations are within the tolerance of the path, and CUT_MM, it does not matter whether they shrink
+    largest_deviation_mm = max(content.before.max_mm, content.after.max_mm)
+    negligible_mm = min(content.tolerance_mm or CUT_MM, CUT_MM)
+    is_chance_judged = content.mode == "convert" and largest_deviation_mm > negligible_mm
     chance = errors.chance if is_chance_judged else None
     if chance is not None and chance < HARMFUL_CHANCE:
-        failures.append(Finding(_FIRST_COST, _CHANCE.format("does more harm than good", chance_in_words(chance))))
-    elif chance is not None and chance < UNCERTAIN_CHANCE and not (tolerance and tolerance.held):
+        failures.append(Finding(_SORTED_FIRST, _CHANCE.format("does more harm than good", chance_in_words(chance))))
+    elif chance is not None and chance < UNCERTAIN_CHANCE and not (tolerance is not None and tolerance.held):
         doubts.append(Finding(corrected_mm, _uncertain_gain_text(result, content, chance)))
     if content.mode == "convert" and (corrected.largest - uncorrected.largest) * MM_PER_M > CUT_MM:
         doubts.append(Finding(corrected_mm, _WORSE_PLACE))
@@ -190,15 +197,15 @@ def _doubts_of_input(result: Result, content: Summary, *, is_error_known: bool) 
     """
     doubts = list[Finding]()
     if (sentence := uncorrected_sentence(content)) is not None:
-        doubts.append(Finding(_FIRST_COST, sentence))
+        doubts.append(Finding(_SORTED_FIRST, sentence))
     if content.targets and content.max_force_N == 0.0 and content.mode != "predict":
-        doubts.append(Finding(_FIRST_COST, _no_force_sentence(result, content)))
+        doubts.append(Finding(_SORTED_FIRST, _no_force_sentence(result, content)))
     if content.targets and not is_error_known:
         text = "how far the part will be off is unknown: the robot model states no uncertainty of its parameters"
         doubts.append(Finding(content.before.max_mm, text))
     if result.robot.measured is not None and result.robot.measured.not_trusted:
         doubts.append(
-            Finding(_FIRST_COST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}")
+            Finding(_SORTED_FIRST, f"the robot model is not to be trusted: {result.robot.measured.not_trusted}")
         )
     return doubts
 
@@ -221,8 +228,10 @@ def _tolerance_answer(result: Result, content: Summary, other_remedies: Sequence
     part, reasons = content.part, _path_reasons(content)
     if part.tolerance_mm is None or _is_corrected_input(content):
         return _missed_path_tolerance(result, content, reasons)
+    is_error_unknown = part.held is None or part.expected_mm is None  # the model states no uncertainty
+    # frames that may be off can only make the error larger: a tolerance that is not held stays so
     is_frame_unknown = any(issue.kind == _FRAMES_AT_REST for issue in result.issues)
-    if part.held is None or part.expected_mm is None or (part.held and is_frame_unknown):
+    if is_error_unknown or (part.held and is_frame_unknown):
         unknown_reason = _UNKNOWN_UNCERTAINTY if part.held is None else _UNKNOWN_FRAMES
         return Tolerance(
             state=_state(reasons, [unknown_reason]),
@@ -272,7 +281,7 @@ def _missed_part_tolerance(part: OnPart, remedies: Sequence[Remedy], reasons: li
     :param remedies: those that lower the expected error noticeably are stated.
     :param reasons: why the path does not hold its tolerance, see `_path_reasons`.
     """
-    assert part.tolerance_mm is not None  # the caller has checked both
+    assert part.tolerance_mm is not None  # both are known where the tolerance is missed
     assert part.expected_mm is not None
     text = (
         f"the expected error on the part is up to {above_limit_text(part.expected_mm, part.tolerance_mm)} mm (95 %, "
@@ -292,10 +301,12 @@ def _missed_part_tolerance(part: OnPart, remedies: Sequence[Remedy], reasons: li
 
 def _path_reasons(content: Summary) -> list[str]:
     """Return the reason why the written path does not hold its tolerance; empty if it holds it or is not judged."""
-    if not content.targets or content.tolerance_held is not False or content.mode == "predict":
+    is_path_missed = content.tolerance_held is False  # None: only the rounding of corners exceeds it, which is allowed
+    if not content.targets or not is_path_missed or content.mode == "predict":
         return []
     assert content.tolerance_mm is not None
-    largest_mm = max(content.between_max_mm or 0.0, content.after.max_mm)  # None: the path between is unknown
+    between_targets_mm = content.between_max_mm or 0.0  # None: the path between targets is unknown
+    largest_mm = max(between_targets_mm, content.after.max_mm)
     deviation_text = above_limit_text(largest_mm, content.tolerance_mm)
     return [f"the predicted path leaves the nominal one by {deviation_text} mm: more than {content.tolerance_mm:g} mm"]
 
@@ -316,9 +327,10 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     errors = result.errors
     if errors is None:
         return []
-    expected_error = float(errors.after.max(initial=0.0))
+    expected_error = float(errors.after.max(initial=0.0))  # with correction [m]
     is_corrected = content.mode == "convert"
     suffix = "" if is_corrected else " and correct it"
+    # measure → largest expected error that would remain with it [m]
     error_of_action = {"measure the robot": errors.with_known_robot, "measure the forces": errors.with_known_forces}
     actions = [
         Remedy(action + suffix, error * MM_PER_M)
@@ -328,8 +340,9 @@ def _remedies(result: Result, content: Summary) -> list[Remedy]:
     if not is_corrected:
         return [Remedy("correct it", expected_error * MM_PER_M), *actions]
     # the bound u95 at targets is the expected error without the rounding of corners
-    is_rounding_large = content.blending.max_mm > (1.0 - _REMEDY_SHARE) * expected_error * MM_PER_M
-    if is_rounding_large and content.u95 is not None and content.u95.max_mm < _REMEDY_SHARE * expected_error * MM_PER_M:
+    expected_mm = expected_error * MM_PER_M
+    is_rounding_large = content.blending.max_mm > (1.0 - _REMEDY_SHARE) * expected_mm
+    if is_rounding_large and content.u95 is not None and content.u95.max_mm < _REMEDY_SHARE * expected_mm:
         actions.append(Remedy("round corners less", content.u95.max_mm))
     return actions
 
@@ -355,20 +368,17 @@ def _passed_findings(result: Result, content: Summary) -> list[Finding]:
         ]
     if content.mode != "predict" and result.documents:
         text = "the program was read back as it is written, and simulated with its rounded numbers"
-        findings.append(Finding(_NO_COST, text))
+        findings.append(Finding(_SORTED_LAST, text))
     if names := assumed_values(result.robot):
-        findings.append(Finding(_NO_COST, f"assumed values of the robot model: {', '.join(names)}"))
+        findings.append(Finding(_SORTED_LAST, f"assumed values of the robot model: {', '.join(names)}"))
     return findings
 
 
 def _issue_findings(issues: Sequence[Issue], mode: Mode) -> list[Finding]:
-    """Return issues as findings, in their order.
-
-    Kinds that matter most in this mode have the cost to be sorted first.
-    """
+    """Return issues as findings, in their order; kinds that matter most in this mode are marked to be sorted first."""
     return [
         Finding(
-            _FIRST_COST if issue.kind in _FOREMOST_KINDS[mode] else _NO_COST,
+            _SORTED_FIRST if issue.kind in _FOREMOST_KINDS[mode] else _SORTED_LAST,
             _with_line(issue.message, issue.source_line, issue.count),
         )
         for issue in issues
@@ -395,8 +405,8 @@ def nothing_to_correct(content: Summary) -> str | None:
 
 
 def _sorted_texts(findings: list[Finding]) -> list[str]:
-    """Return the texts of findings, those that cost most on the part first."""
-    return [finding.text for finding in sorted(findings, key=lambda finding: -finding.cost_mm)]
+    """Return the texts of findings, those that can mean the largest error on the part first."""
+    return [finding.text for finding in sorted(findings, key=lambda finding: -finding.error_mm)]
 
 
 def _with_line(message: str, line: int | None, count: int = 1) -> str:
@@ -409,12 +419,14 @@ def _with_line(message: str, line: int | None, count: int = 1) -> str:
 
 
 def _percent_digits(percent: float | None) -> str:
-    """Return a percentage with two significant digits, from 10 on without decimals; less than 100 is at most "99".
+    """Return a percentage with two significant digits, from 10 on without decimals.
+
+    Less than 100 is at most "99", so that "100" is said only of all of the path.
 
     :param percent: must be known, not None.
     """
     assert percent is not None
-    if percent < 9.95:
+    if percent < 9.95:  # from 9.95 on, two digits would round to 10
         return f"{percent:.2g}"
     shown_percent = percent if percent == 100.0 else min(percent, 99.0)
     return f"{shown_percent:.0f}"
@@ -439,37 +451,68 @@ def _expected_findings(result: Result, content: Summary) -> list[Finding]:
 
     Mode "predict": findings on the deviation as programmed, its uncertainty and the tolerance alone.
     """
-    findings = []
-    bound, part, blending = content.u95, content.part, content.blending
-    if bound is not None:
-        quantity, largest = "uncertainty of the prediction", bound.max_mm
-        if content.mode != "predict":
-            quantity, largest = "expected error on the part", max(bound.max_mm, _largest_expected_error(result))
-        findings.append(Finding(largest, f"{quantity} (95 %): up to {two_digit_text(largest)} mm, {bound.basis}"))
-    if part.held and part.expected_mm is not None:
-        text = (
-            f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {two_digit_text(part.expected_mm)} mm (95 %), "
-            "corners and path included"
-        )
-        findings.insert(0, Finding(part.expected_mm, text))
+    findings = [*_held_tolerance_findings(content.part), *_uncertainty_findings(result, content)]
     if content.mode == "predict":
-        text = f"predicted as programmed: up to {two_digit_text(content.before.max_mm)} mm off at cutting targets"
-        return [Finding(_FIRST_COST, text), *findings]
-    if blending.source_line is not None:
-        programmed_mm = blending.programmed_max_mm
-        itself = f", the program itself by {two_digit_text(programmed_mm)} mm" if programmed_mm else ""
-        text = f"{blending.by} rounds corners by up to {two_digit_text(blending.max_mm)} mm{itself}"
-        findings.append(Finding(blending.max_mm, _with_line(text, blending.source_line)))
-    if content.tolerance_held is not False and content.between_max_mm is not None and content.tolerance_mm:
-        exception = ", but for rounded corners" if content.tolerance_held is None else ""
-        bound_text = f"{two_digit_text(content.between_max_mm)} mm of the nominal one, between targets too{exception}"
-        text = f"the predicted path stays within {bound_text} (tolerance {content.tolerance_mm:g} mm)"
-        findings.append(Finding(content.between_max_mm, text))
-    if content.mode == "convert" and (content.max_correction_mm or 0.0) >= NOTHING_MM:
-        findings.append(
-            Finding(_NO_COST, f"the correction is at most {two_digit_text(content.max_correction_mm or 0.0)} mm")
-        )
+        uncorrected_mm = content.before.max_mm
+        text = f"predicted as programmed: up to {two_digit_text(uncorrected_mm)} mm off at cutting targets"
+        return [Finding(_SORTED_FIRST, text), *findings]
+    findings += [*_rounding_findings(content.blending), *_path_findings(content)]
+    correction_mm = content.max_correction_mm or 0.0  # None: unknown
+    if content.mode == "convert" and correction_mm >= NOTHING_MM:
+        findings.append(Finding(_SORTED_LAST, f"the correction is at most {two_digit_text(correction_mm)} mm"))
     return findings
+
+
+def _held_tolerance_findings(part: OnPart) -> list[Finding]:
+    """Return the finding that the tolerance of the part is held; empty if it is not, or if that is unknown."""
+    if not part.held or part.expected_mm is None:
+        return []
+    text = (
+        f"[part] tolerance_mm = {part.tolerance_mm:g} is held: up to {two_digit_text(part.expected_mm)} mm (95 %), "
+        "corners and path included"
+    )
+    return [Finding(part.expected_mm, text)]
+
+
+def _uncertainty_findings(result: Result, content: Summary) -> list[Finding]:
+    """Return the bound (95 %) of the prediction, or of the error on the part if a program is written.
+
+    Empty if the model states no uncertainty.
+    """
+    if content.u95 is None:
+        return []
+    quantity, largest_mm = "uncertainty of the prediction", content.u95.max_mm
+    if content.mode != "predict":
+        quantity, largest_mm = "expected error on the part", max(largest_mm, _largest_expected_error(result))
+    source_of_uncertainty = content.u95.basis
+    text = f"{quantity} (95 %): up to {two_digit_text(largest_mm)} mm, {source_of_uncertainty}"
+    return [Finding(largest_mm, text)]
+
+
+def _rounding_findings(blending: Blending) -> list[Finding]:
+    """Return the largest rounding of corners by approximate positioning (C_DIS, zones); empty without rounded corners.
+
+    :param blending: `by` is the controller's word for approximate positioning.
+    """
+    if blending.source_line is None:
+        return []
+    programmed_mm = blending.programmed_max_mm
+    program_share = f", the program itself by {two_digit_text(programmed_mm)} mm" if programmed_mm else ""
+    text = f"{blending.by} rounds corners by up to {two_digit_text(blending.max_mm)} mm{program_share}"
+    return [Finding(blending.max_mm, _with_line(text, blending.source_line))]
+
+
+def _path_findings(content: Summary) -> list[Finding]:
+    """Return the finding that the predicted path holds its tolerance; empty if it does not, or if that is unknown."""
+    between_targets_mm = content.between_max_mm
+    is_path_missed = content.tolerance_held is False
+    if is_path_missed or between_targets_mm is None or not content.tolerance_mm:
+        return []
+    is_only_rounding_beyond = content.tolerance_held is None
+    exception = ", but for rounded corners" if is_only_rounding_beyond else ""
+    bound_text = f"{two_digit_text(between_targets_mm)} mm of the nominal one, between targets too{exception}"
+    text = f"the predicted path stays within {bound_text} (tolerance {content.tolerance_mm:g} mm)"
+    return [Finding(between_targets_mm, text)]
 
 
 def _largest_expected_error(result: Result) -> float:
@@ -482,31 +525,31 @@ def _largest_expected_error(result: Result) -> float:
 
 
 def _surface_findings(content: Summary) -> tuple[list[Finding], list[Finding]]:
-    """Return doubts about the programmed path and the mesh of the part, and findings that no doubt contradicts.
+    """Return doubts about the programmed path and the mesh of the part, and findings in favour of the program.
 
-    Both are empty without a mesh. Else one of both has one finding, by the first of these that applies: no tool reaches
+    Both are empty without a mesh. Else there is one finding in all, by the first of these that applies: no tool reaches
     the mesh; the path cuts in beyond the tolerance, alone or with the expected error; it leaves material beyond the
-    tolerance; all is well.
+    tolerance (three doubts); the path fits the mesh.
     """
     surface, part = content.surface, content.part
     if surface is None:
         return [], []
-    limit = part.tolerance_mm or content.tolerance_mm or CUT_MM
+    limit_mm = part.tolerance_mm or content.tolerance_mm or CUT_MM
     reach_text = f"tools reach {surface.reached_percent:.0f} % of its surface"
     if surface.reached_percent == 0.0:
         text = "no tool reaches the part: check that its mesh is in mm and in its frame, and the shapes of the tools"
-        return [Finding(_FIRST_COST, text)], []
-    if (cut_doubt := _cut_doubt(surface.cut_into_mm, part, limit)) is not None:
-        return [Finding(_FIRST_COST, _with_line(f"{cut_doubt}; {reach_text}", surface.source_line))], []
-    left_mm = surface.left_mm
-    if left_mm is not None and left_mm > max(limit, LEFT_MM):
+        return [Finding(_SORTED_FIRST, text)], []
+    if (cut_doubt := _cut_doubt(surface.cut_into_mm, part, limit_mm)) is not None:
+        return [Finding(_SORTED_FIRST, _with_line(f"{cut_doubt}; {reach_text}", surface.source_line))], []
+    left_mm = surface.left_mm  # median height of the material that the path leaves; None: unknown
+    if left_mm is not None and left_mm > max(limit_mm, LEFT_MM):
         text = (
             f"the programmed path itself leaves {two_digit_text(left_mm)} mm on the part: check that the mesh is in "
             f"place and is what this program makes; {reach_text}"
         )
-        return [Finding(_FIRST_COST, text)], []
-    text = f"the programmed path cuts into the part by no more than {limit:g} mm; {reach_text}"
-    return [], [Finding(_NO_COST, text)]
+        return [Finding(_SORTED_FIRST, text)], []
+    text = f"the programmed path cuts into the part by no more than {limit_mm:g} mm; {reach_text}"
+    return [], [Finding(_SORTED_LAST, text)]
 
 
 def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
@@ -528,26 +571,26 @@ def _cut_doubt(cut_mm: float, part: OnPart, limit_mm: float) -> str | None:
 
 def clearance_text(content: Summary) -> str:
     """Return the smallest clearance [mm] in words, or why it is unknown."""
-    result = content.collision
-    if result is None:
+    clearance = content.collision
+    if clearance is None:
         return "collisions are not checked: the cell has no [collision]"
-    if result.min_clearance_mm is None:
+    if clearance.min_clearance_mm is None:
         return "[collision] names no bodies that could touch"
-    bodies = " and ".join(result.bodies)
-    place = f"of {bodies} at line {result.source_line}; stock not counted"
-    return f"smallest clearance {result.min_clearance_mm:.3g} mm, {place}"
+    bodies = " and ".join(clearance.bodies)
+    place = f"of {bodies} at line {clearance.source_line}; stock not counted"
+    return f"smallest clearance {clearance.min_clearance_mm:.3g} mm, {place}"
 
 
 def _clearance_findings(content: Summary) -> list[Finding]:
     """Return the smallest clearance as a finding; empty if collisions were not checked."""
-    return [] if content.collision is None else [Finding(_NO_COST, clearance_text(content))]
+    return [] if content.collision is None else [Finding(_SORTED_LAST, clearance_text(content))]
 
 
 def _narrow_margin_findings(content: Summary) -> list[Finding]:
     """Return a finding for each joint that comes nearer to a limit than `NARROW_DEG`."""
     margins = content.limits.joint_margins_deg
     return [
-        Finding(_NO_COST, f"{name} comes within {margin:.1f}° of a limit")
+        Finding(_SORTED_LAST, f"{name} comes within {margin:.1f}° of a limit")
         for name, margin in zip(JOINTS, margins, strict=True)
         if margin is not None and margin < NARROW_DEG
     ]
@@ -559,19 +602,21 @@ def _margin_findings(content: Summary) -> list[Finding]:
     return (
         []
         if margin_deg is None or margin_deg < NARROW_DEG
-        else [Finding(_NO_COST, f"all joints stay {margin_deg:.1f}° or more from their limits")]
+        else [Finding(_SORTED_LAST, f"all joints stay {margin_deg:.1f}° or more from their limits")]
     )
 
 
 def assumed_values(robot: RobotModel) -> tuple[str, ...]:
     """Return the names of the assumed values of the model that affect the deflection under force."""
-    # weights of the links that are subtracted with the reference, under a load that does not vary, deflect nothing
-    weights_count = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
-    return tuple(entry.name for entry in robot.sources if entry.assumed and (weights_count or entry.name != SOLID))
+    # the sag by the weights of the links is the same with and without a force: where deflections count from the
+    # unloaded arm (`subtract_reference`), weights change nothing, unless compliances depend on the torque by them
+    do_weights_count = robot.has_weight and (robot.carries_weight or not robot.subtract_reference)
+    return tuple(entry.name for entry in robot.sources if entry.assumed and (do_weights_count or entry.name != SOLID))
 
 
 def _assumptions(result: Result) -> list[str]:
     """Return the assumptions behind the numbers of the report."""
+    # `values` has a row for each run of targets with one wrench (it may have rows of no target), `run` the row of each
     largest_force = np.abs(result.wrench.values).max(axis=1)[result.wrench.run].max(initial=0.0)
     clearance_remarks = [] if result.clearance is None else list(result.clearance.remarks)
     assumptions = [

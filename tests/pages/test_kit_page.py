@@ -78,7 +78,7 @@ def _page():
         Verdict("failed", "No.", "<i>Never</i>."),
         Tiles((Tile("a", "1", "mm", "note"),)),
         Facts((("a", Cell("1", "warning")),)),
-        Notes((Note("one", "good"), Note("two")), "Title", marked=True),
+        Notes((Note("one", "good"), Note("two")), "Title", bulleted=True),
         Fold("more", (table,)),
     )
     sections = (Section("parts", "Parts", parts), *(Section(f"plot{i}", p.label, (p,)) for i, p in enumerate(PLOTS)))

@@ -118,18 +118,21 @@ def comparison_page(comparison: Comparison, content: ComparisonSummary) -> Itera
 
 
 def _verdict_section(content: ComparisonSummary) -> Section:
-    """Return the section with the verdict: headline, three answers and reasons."""
+    """Return the section with the verdict: headline, three answers and reasons.
+
+    The answers say whether the corrected program may be driven, is better, and holds the tolerance.
+    """
     verdict = content.verdict
-    names = (content.nominal, content.corrected)
+    file_names = (content.nominal, content.corrected)
     # a reason begins with a capital letter, unless it begins with the name of a file
     reasons = tuple(
-        (text if text.startswith(names) or _FILE_AND_LINE.match(text) else text[:1].upper() + text[1:]) + "."
+        (text if text.startswith(file_names) or _FILE_AND_LINE.match(text) else text[:1].upper() + text[1:]) + "."
         for text in verdict.reasons
     )
     parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answer_facts(verdict)]
     if reasons:
         kind: Kind = "error" if verdict.state == "failed" else ""
-        parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", marked=True))
+        parts.append(Notes(tuple(Note(text, kind) for text in reasons), "Why", bulleted=True))
     return Section("verdict", "Verdict", tuple(parts))
 
 
@@ -156,9 +159,10 @@ def _number_tiles(content: ComparisonSummary) -> Tiles:
         tiles.append(
             Tile("Paths apart between targets, largest", millimetre_text(content.between_targets.max_mm), "mm")
         )
-    if content.cut is not None:
-        tiles.append(Tile("The nominal program cuts, largest", millimetre_text(content.cut.nominal.max_mm), "mm"))
-        tiles.append(Tile("The corrected one, largest", millimetre_text(content.cut.corrected.max_mm), "mm"))
+    deviations = content.cut  # of the loaded tool by each program; None: no forces are known
+    if deviations is not None:
+        tiles.append(Tile("The nominal program cuts, largest", millimetre_text(deviations.nominal.max_mm), "mm"))
+        tiles.append(Tile("The corrected one, largest", millimetre_text(deviations.corrected.max_mm), "mm"))
     return Tiles(tuple(tiles))
 
 
@@ -180,7 +184,8 @@ def _number_table(content: ComparisonSummary) -> Table:
 def _page_rows(comparison: Comparison, linked_rows: Ints) -> Ints:
     """Return the pairs (s,) to show, ascending; empty without pairs.
 
-    Consecutive pairs are grouped. Of each group the cutting pairs with the largest offset, path distance and deviations
+    A pair is a row of `Comparison.pair`: a nominal target and its partner in the corrected program. Consecutive pairs
+    are grouped. Of each group the cutting pairs with the largest offset, path distance and deviations
     are shown; also the pairs with the largest offsets of all, and linked ones.
 
     :param linked_rows: (n,) pairs to which tables lead.
@@ -358,15 +363,17 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
     """
     if comparison.curves is None:
         return _DrawnPath(comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows)))
-    # one straight part where the path is unknown, and where pairs before it are not shown
-    parts = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD_ANGLE)[rows])
-    parts = np.where(np.diff(rows, prepend=-2) == 1, np.minimum(parts, max(1, _MOST_POINTS // len(rows))), 1)
-    place = np.repeat(np.arange(len(rows)), parts)
-    # pair i is at u = i, the path to it from i − 1 to i: each of its parts ends at i minus the share that is left
-    parts_left = np.cumsum(parts)[place] - 1 - np.arange(len(place))
-    u = rows[place] - parts_left / parts[place]
+    # number of chords by which the path to each pair is drawn: one where the path is unknown, or where the pair before
+    # it is not shown
+    chord_count = np.where(np.isnan(comparison.path_distance[rows]), 1, comparison.curves.parts(_CHORD_ANGLE)[rows])
+    is_after_shown_pair = np.diff(rows, prepend=-2) == 1
+    chord_count = np.where(is_after_shown_pair, np.minimum(chord_count, max(1, _MOST_POINTS // len(rows))), 1)
+    place = np.repeat(np.arange(len(rows)), chord_count)
+    # the parameter u of both paths is i at pair i: a chord of the path to it ends at i minus the share that is left
+    remaining_chords = np.cumsum(chord_count)[place] - 1 - np.arange(len(place))
+    u = rows[place] - remaining_chords / chord_count[place]
     nominal_point, corrected_point = comparison.target[rows[place], :3, 3], comparison.pose[rows[place], :3, 3]
-    inner = np.flatnonzero(parts_left)  # points between pairs
+    inner = np.flatnonzero(remaining_chords)  # points between pairs
     if len(inner):
         nominal_point[inner], corrected_point[inner] = comparison.curves.at(u[inner])
     return _DrawnPath(nominal_point, corrected_point - nominal_point, place)
@@ -393,7 +400,7 @@ def _program_plots_section(comparison: Comparison, content: ComparisonSummary, r
         # not over the line of the program: lines go back where a program repeats some
         return Curve((rows + 1.0).tolist(), (values * MM_PER_M).tolist(), name, colour, places=[*range(len(rows))])
 
-    x_axis = Axis(title=f"pair of targets, in the order of {nominal.main}")
+    x_axis = Axis(title=f"pair of targets, in the order of {nominal.main_file}")
     offset_x, offset_y, offset_z = comparison.offset[rows].T
     curves = [curve(offset_x, "X", "correction"), curve(offset_y, "Y", "force"), curve(offset_z, "Z", "ink")]
     parts: list[Part] = [
@@ -427,12 +434,12 @@ def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
     percent = 100.0 * comparison.cut_length[cutting] / (total or 1.0)
     heights, edges = np.histogram(comparison.distance[cutting] * MM_PER_M, bins=_BINS, weights=percent)
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows] * MM_PER_M  # negative: not cutting
-    order = np.argsort(size)
-    # index in `order` of the largest shown pair up to the upper edge of each bar; −1: no pair
-    largest = np.searchsorted(size[order], edges[1:], side="right") - 1
+    by_size = np.argsort(size)
+    # index in `by_size` of the largest shown pair up to the upper edge of each bar; −1: no pair
+    largest_of_bar = np.searchsorted(size[by_size], edges[1:], side="right") - 1
     places = [
-        int(order[k]) if k >= 0 and size[order[k]] >= lower_edge else None
-        for k, lower_edge in zip(largest, edges[:-1], strict=True)
+        int(by_size[k]) if k >= 0 and size[by_size[k]] >= lower_edge else None
+        for k, lower_edge in zip(largest_of_bar, edges[:-1], strict=True)
     ]
     bars = Histogram(edges.tolist(), heights.tolist(), "offset", places)
     plot = Plot(
@@ -480,7 +487,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
     :param names: display names of the files of both programs.
     """
     head = [
-        *(f"Line of {name.main}" for name in names),
+        *(f"Line of {name.main_file}" for name in names),
         "Offset, mm",
         "X, mm",
         "Y, mm",

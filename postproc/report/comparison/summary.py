@@ -32,12 +32,12 @@ from postproc.report.summary import Distances
 class Names(Struct, frozen=True):
     """Display names of the files of a program.
 
-    :param main: the main file.
+    :param main_file: name of the main file.
     :param prefix: text before file names: empty, or folders with a trailing slash.
     :param has_several_files: True if the motions of the program are in several files.
     """
 
-    main: str
+    main_file: str
     prefix: str
     has_several_files: bool
 
@@ -74,14 +74,16 @@ def _has_several_files(program: Program, rows: Ints) -> bool:
 
 
 def _distinct_ends(nominal_folder: str, second_folder: str) -> tuple[str, str]:
-    """Return the shortest ends by which two folders differ, with a trailing slash; empty if they are the same folder.
+    """Return the shortest ends of two paths that tell these folders apart, with a trailing slash.
+
+    Empty if they are the same folder.
 
     For example "new/" and "old/" of /jobs/new and /jobs/old.
     """
     folders = [Path(folder).resolve().parts for folder in (nominal_folder, second_folder)]
     if folders[0] == folders[1]:
         return "", ""
-    # number of parts from the end; the folders differ, so that it exists
+    # smallest number of last parts of the paths that differ; as the folders differ, there is one
     count = next(n for n in range(1, max(map(len, folders)) + 1) if folders[0][-n:] != folders[1][-n:])
     # the root of a drive is a part with slashes of its own
     first, second = ("/".join(part.strip("/\\") for part in folder[-count:]) + "/" for folder in folders)
@@ -99,17 +101,18 @@ _DIFFERENCE_KINDS = (
 class ProgramOrigin(Struct, frozen=True):
     """The origin of the second program, and whether it was made from the inputs of this comparison.
 
-    :param origin: the origin that its text states.
-    :param agrees: name of each input (program, cell, robot model, force file) → whether the second program was made
-        from it. Empty if its text states no origin; without force file if it was made with one that is not given now.
-    :param same_origin: its text is as postproc wrote it, and it was made from these inputs.
-    :param without_forces: it was made with a force file that is not given now.
+    :param stated_origin: the origin that its text states.
+    :param input_agreement: name of each input (program, cell, robot model, force file) → whether the second program was
+        made from it. Empty if its text states no origin; without force file if it was made with one that is not given
+        now.
+    :param is_made_from_inputs: its text is as postproc wrote it, and it was made from these inputs.
+    :param lacks_force_file: it was made with a force file that is not given now.
     """
 
-    origin: Provenance
-    agrees: Mapping[str, bool]
-    same_origin: bool = False
-    without_forces: bool = False
+    stated_origin: Provenance
+    input_agreement: Mapping[str, bool]
+    is_made_from_inputs: bool = False
+    lacks_force_file: bool = False
 
 
 class Rotations(Struct, frozen=True):
@@ -202,7 +205,10 @@ class DifferenceEntry(Struct, frozen=True):
 
 
 class OriginEntry(Struct, frozen=True):
-    """The origin of the second program; None where it is unknown."""
+    """The origin of the second program; None where it is unknown.
+
+    `made_from_these`: name of each input of this comparison → whether the second program was made from it.
+    """
 
     state: Origin
     mode: str | None
@@ -211,7 +217,11 @@ class OriginEntry(Struct, frozen=True):
 
 
 class ComparisonSummary(Struct, frozen=True, omit_defaults=True, kw_only=True):
-    """Content of `part.compare.report.json`. Statistics are along the cutting path, at targets of both programs."""
+    """Content of `part.compare.report.json`. Statistics are along the cutting path, at targets of both programs.
+
+    A pair is a target of the nominal program and its partner in the corrected one. `cut` and `between` are deviations
+    of the loaded tool, at pairs and between them: None if no forces are known.
+    """
 
     nominal: str
     corrected: str
@@ -261,11 +271,12 @@ def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> li
     sentences = ["every target has its partner" + (", or the path passes it" if content.passed else "")]
     if content.provenance.state == "intact":
         sentences.append("the text is as postproc wrote it")
-    if content.cut is not None:
+    are_forces_known = content.cut is not None
+    if are_forces_known:
         sentences.append(
             f"the corrected program stays within {content.tolerance_mm:g} mm at its targets under the forces given"
         )
-    elif file_origin.without_forces:
+    elif file_origin.lacks_force_file:
         sentences.append(
             "both come from the same program, cell and robot model; the forces of the correction are in a file: give "
             "it with --forces to check what remains"
@@ -276,14 +287,14 @@ def _passed_checks(content: ComparisonSummary, file_origin: ProgramOrigin) -> li
 def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolerance: float) -> ComparisonSummary:
     """Return the content of the report with a placeholder as verdict; parameters as of `comparison_summary`."""
     rotation = statistics(comparison.rotation, comparison.cut_length)
-    count = Counter[str]()
+    count_of_kind = Counter[str]()
     for difference in comparison.differences:
-        count[difference.kind] += difference.count
+        count_of_kind[difference.kind] += difference.count
     names = names_of(comparison)
     nominal, second_names = names
     return ComparisonSummary(
-        nominal=nominal.main,
-        corrected=second_names.main,
+        nominal=nominal.main_file,
+        corrected=second_names.main_file,
         robot=comparison.robot,
         pairs=len(comparison.pair),
         inserted=len(comparison.inserted_rows),
@@ -296,16 +307,16 @@ def _unjudged_summary(comparison: Comparison, file_origin: ProgramOrigin, tolera
         rotation=Rotations(max_deg=rotation.largest * DEG_PER_RAD, rms_deg=rotation.rms * DEG_PER_RAD),
         between_targets=_largest_gap(comparison, names),
         largest=_largest_pairs(comparison, names),
-        differences={kind.replace("-", "_"): count[kind] for kind in _DIFFERENCE_KINDS},
+        differences={kind.replace("-", "_"): count_of_kind[kind] for kind in _DIFFERENCE_KINDS},
         cut=_cut_distances(comparison, names, slice(0, len(comparison.pair))),
         between=_deviation_between_targets(comparison, second_names),
         tolerance_mm=stated_mm(tolerance),
         operations=[*_operation_entries(comparison, names)],
         provenance=OriginEntry(
-            state=file_origin.origin.state,
-            mode=file_origin.origin.mode or None,
-            version=file_origin.origin.version or None,
-            made_from_these=dict(file_origin.agrees),
+            state=file_origin.stated_origin.state,
+            mode=file_origin.stated_origin.mode or None,
+            version=file_origin.stated_origin.version or None,
+            made_from_these=dict(file_origin.input_agreement),
         ),
         issues=[_difference_entry(difference, nominal, second_names) for difference in comparison.differences],
         verdict=UNJUDGED,
@@ -351,8 +362,9 @@ def _failures(content: ComparisonSummary, limit_mm: float, file_origin: ProgramO
     """
     if content.provenance.state == "changed":
         yield f"{content.corrected} was changed since postproc wrote it: convert the program again"
+    are_forces_known = content.cut is not None
     # without the forces of its correction, targets cannot be told from inserted ones: then offsets mean nothing
-    are_offsets_judged = content.cut is not None or not file_origin.same_origin
+    are_offsets_judged = are_forces_known or not file_origin.is_made_from_inputs
     if are_offsets_judged and not content.offset.max_mm <= limit_mm:  # not ≤: an unknown offset (NaN) fails too
         offset = above_limit_text(content.offset.max_mm, limit_mm)
         place = _pair_text(content.largest[0])
@@ -367,8 +379,9 @@ def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
 
     It is never "held": collisions and limits are left to a prediction of the second program.
     """
+    cut, between_targets = content.cut, content.between  # deviations under force; None: no forces are known
+    tolerance, reasons = content.tolerance_mm, list[str]()
     # not ≤: an unknown distance (NaN) fails too
-    cut, between_targets, tolerance, reasons = content.cut, content.between, content.tolerance_mm, list[str]()
     if cut is not None and not cut.corrected.max_mm <= tolerance:
         reasons.append(
             f"{_pair_text(cut)}: the corrected program leaves {above_limit_text(cut.corrected.max_mm, tolerance)} mm "
@@ -380,7 +393,17 @@ def _tolerance_answer(content: ComparisonSummary) -> Tolerance | None:
             f"{above_limit_text(between_targets.corrected_max_mm, tolerance)} mm to the nominal path under the forces "
             f"given (tolerance {tolerance:g} mm)"
         )
-    return Tolerance("failed", "path", tolerance, False, None, [], reasons) if reasons else None
+    if not reasons:
+        return None
+    return Tolerance(
+        state="failed",
+        of="path",
+        mm=tolerance,
+        held=False,
+        beyond_percent=None,
+        would_help=[],
+        reasons=reasons,
+    )
 
 
 def _pair_text(pair: Lines | WorstPair) -> str:
@@ -390,19 +413,26 @@ def _pair_text(pair: Lines | WorstPair) -> str:
 
 def _doubts(content: ComparisonSummary, file_origin: ProgramOrigin) -> Iterator[str]:
     """Yield reasons to check the corrected program before it is run."""
-    origin = content.provenance
-    changed_inputs = [name for name, is_same in origin.made_from_these.items() if not is_same]
+    # name of each input (program, cell, robot model, force file) → whether the corrected program was made from it
+    input_agreement = content.provenance.made_from_these
+    changed_inputs = [name for name, is_same in input_agreement.items() if not is_same]
     if changed_inputs:
         yield f"{content.corrected} was made with {' and '.join(f'another {name}' for name in changed_inputs)}"
-    if origin.mode == "nominal" and content.cut is not None:
+    are_forces_known = content.cut is not None
+    if content.provenance.mode == "nominal" and are_forces_known:
         yield f"{content.corrected} is nominal: it was written without correction"
-    if content.cut is None and not file_origin.same_origin and not content.differences["base"]:
+    # a correction explains distances of a program that was made from these inputs, and another $BASE those of any
+    are_distances_explained = file_origin.is_made_from_inputs or content.differences["base"] > 0
+    if not are_forces_known and not are_distances_explained:
         yield from _unexplained_distances(content)
     yield from (_issue_text(issue) for issue in content.issues if issue.level == "warning")
 
 
 def _unexplained_distances(content: ComparisonSummary) -> Iterator[str]:
-    """Yield the largest distance beyond the tolerance, at targets or between them, without forces that explain it."""
+    """Yield a doubt about the largest distance of the programs beyond the tolerance: no forces explain it.
+
+    Of a distance at a target and one between targets, only the first is named.
+    """
     gap = content.between_targets
     reason = "and no forces are known that explain it: give --forces"
     if content.offset.max_mm > content.tolerance_mm:
@@ -475,17 +505,17 @@ def _largest_gap(comparison: Comparison, names: Sequence[Names]) -> PathGap:
 
 def _deviation_between_targets(comparison: Comparison, second_names: Names) -> DistancesBetweenPairs | None:
     """Return the largest deviations between targets of cutting moves [mm]; None without forces or cutting moves."""
-    cuts = comparison.cuts
+    cuts = comparison.cuts  # `row`: motion of the second program at each place between pairs
     motions = comparison.corrected.motions
     if cuts is None or not len(cuts.row):
         return None
-    cutting = ~motions.rapid[cuts.row]
-    worst = int(np.argmax(np.where(cutting, cuts.corrected_distance, -1.0)))
-    if not cutting[worst]:
+    is_cutting = ~motions.rapid[cuts.row]
+    worst = int(np.argmax(np.where(is_cutting, cuts.corrected_distance, -1.0)))
+    if not is_cutting[worst]:
         return None
     file, line = comparison.corrected.places(cuts.row[worst : worst + 1]).of(0)
     return DistancesBetweenPairs(
-        nominal_max_mm=float(cuts.nominal_distance[cutting].max()) * MM_PER_M,
+        nominal_max_mm=float(cuts.nominal_distance[is_cutting].max()) * MM_PER_M,
         corrected_max_mm=float(cuts.corrected_distance[worst]) * MM_PER_M,
         corrected_file=second_names.prefix + file,
         corrected_line=line,
@@ -528,11 +558,11 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
 
     :param names: display names of the files of both programs.
     """
-    starts = operation_starts(comparison.nominal, comparison.pair[:, 0])
+    starts = operation_starts(comparison.nominal, comparison.pair[:, 0])  # first pair → name and tool
     for first, end in pairwise([*sorted(starts), len(comparison.pair)]):
         rows = slice(first, end)
-        cutting = int(np.count_nonzero(~comparison.rapid[rows]))
-        if not cutting:
+        cutting_count = int(np.count_nonzero(~comparison.rapid[rows]))
+        if not cutting_count:
             continue
         name, tool = starts[first]
         # argmin: the first pair that is not rapid
@@ -542,7 +572,7 @@ def _operation_entries(comparison: Comparison, names: Sequence[Names]) -> Iterat
             tool=tool,
             nominal_file=lines.nominal_file,
             nominal_line=lines.nominal_line,
-            pairs=cutting,
+            pairs=cutting_count,
             offset=_distances(comparison.distance[rows], comparison.cut_length[rows]),
             cut=_cut_distances(comparison, names, rows),
         )
@@ -608,7 +638,10 @@ class _TableTargets(NamedTuple):
 
 
 def _table_targets(comparison: Comparison) -> _TableTargets:
-    """Return all targets of both programs, and their order in the CSV file."""
+    """Return all targets of both programs, and their order in the CSV file: that of the second program.
+
+    A nominal target without a partner follows the partner of the last paired target before it.
+    """
     paired_nominal_row, paired_corrected_row = comparison.pair.T
     states = [
         _targets_of_state("pair", paired_nominal_row, paired_corrected_row),
@@ -618,14 +651,11 @@ def _table_targets(comparison: Comparison) -> _TableTargets:
         _targets_of_state("only_corrected", None, comparison.additional_rows),
     ]
     state, nominal_row, corrected_row = np.concatenate(states, axis=1)
-    # sorted by the motion of the second program; for a nominal target without a partner, the partner of the last paired
-    # target before it counts (−1: no such pair), and `is_alone` sorts it after that; searchsorted: paired targets
-    # before it
-    is_alone = corrected_row < 0
+    has_no_partner = corrected_row < 0
     sort_row = corrected_row.copy()
-    paired_count = np.searchsorted(paired_nominal_row, nominal_row[is_alone])
-    sort_row[is_alone] = np.append(-1, paired_corrected_row)[paired_count]
-    return _TableTargets(state, nominal_row, corrected_row, order=np.lexsort((is_alone, sort_row)))
+    preceding_pair_count = np.searchsorted(paired_nominal_row, nominal_row[has_no_partner])
+    sort_row[has_no_partner] = np.append(-1, paired_corrected_row)[preceding_pair_count]  # −1: no pair before it
+    return _TableTargets(state, nominal_row, corrected_row, order=np.lexsort((has_no_partner, sort_row)))
 
 
 def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) -> Ints:

@@ -57,9 +57,9 @@ def verdict_section(data: Deviation) -> Section:
     parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answer_facts(answer)]
     if answer.state != "ok":
         kind: Kind = "error" if answer.state == "failed" else ""
-        parts.append(Notes(tuple(Note(as_sentence(text), kind) for text in answer.reasons), "Why", marked=True))
-    holds = Notes(tuple(Note(as_sentence(text)) for text in answer.holds), "What holds", marked=True)
-    assumes = Notes(tuple(Note(as_sentence(text)) for text in answer.assumes), "Under these assumptions", marked=True)
+        parts.append(Notes(tuple(Note(as_sentence(text), kind) for text in answer.reasons), "Why", bulleted=True))
+    holds = Notes(tuple(Note(as_sentence(text)) for text in answer.holds), "What holds", bulleted=True)
+    assumes = Notes(tuple(Note(as_sentence(text)) for text in answer.assumes), "Under these assumptions", bulleted=True)
     inner = (holds, assumes) if answer.holds else (assumes,)
     parts.append(Fold("What holds, and under which assumptions" if answer.holds else "Under which assumptions", inner))
     return Section("verdict", "Verdict", tuple(parts))

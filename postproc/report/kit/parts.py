@@ -95,13 +95,13 @@ class Notes(msgspec.Struct, frozen=True):
     """Sentences under a heading.
 
     :param title: the heading; empty: none.
-    :param marked: the sentences are shown as a list with bullets.
+    :param bulleted: the sentences are shown as a list with bullets.
     """
 
     template: ClassVar[str] = "notes"
     notes: tuple[Note, ...]
     title: str = ""
-    marked: bool = False
+    bulleted: bool = False
 
 
 class Verdict(msgspec.Struct, frozen=True):
