@@ -144,7 +144,7 @@ def test_status_and_branch_are_those_of_the_posture_where_joint_2_turns_the_othe
 
 
 def test_status_bit_1_changes_where_the_wrist_centre_crosses_the_line_through_axes_2_and_3(model):
-    edge = kinematics.closed_form(model).elbow_stretched
+    edge = kinematics.closed_form(model).stretched_elbow_angle
     offset, forearm = OFFSET_AND_FOREARM[model.name]
     assert np.degrees(edge) == pytest.approx(-np.degrees(np.arctan2(offset, forearm)), abs=1e-6)
     q = np.array([[0, -0.5, edge + away, 0, 0.3, 0] for away in (1e-4, 0.0, -1e-4)])

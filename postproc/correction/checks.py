@@ -120,8 +120,8 @@ def singularity_issues(
     form = kinematics.closed_form(robot)
     is_cartesian = program.motions.kind[sample.motion] != PTP
     wrist = is_cartesian & (np.abs(q[:, 4]) < _WRIST_ANGLE)
-    elbow = is_cartesian & (np.abs(form.angle_from_stretched(q)) < _ELBOW_ANGLE)
-    shoulder = is_cartesian & (np.abs(form.wrist_distance_ahead(q)) < SHOULDER_RADIUS)
+    elbow = is_cartesian & (np.abs(form.elbow_angle_from_stretched(q)) < _ELBOW_ANGLE)
+    shoulder = is_cartesian & (np.abs(form.wrist_distance_ahead_of_a1(q)) < SHOULDER_RADIUS)
     has_jump = is_cartesian & (largest(np.diff(q, axis=0, prepend=q[:1])) > _JUMP_ANGLE)
     # samples of motions that do not follow each other are not connected: a turn between them is no jump
     has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)

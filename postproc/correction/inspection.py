@@ -288,7 +288,7 @@ def _limited_quantities(robot: RobotModel, q: Array) -> Array:
     """
     form, quantities = kinematics.closed_form(robot), np.empty((9, len(q)))
     quantities[:6], quantities[_WRIST] = q.T, q[:, 4]
-    quantities[_SHOULDER], quantities[_ELBOW] = form.wrist_distance_ahead(q), form.angle_from_stretched(q)
+    quantities[_SHOULDER], quantities[_ELBOW] = form.wrist_distance_ahead_of_a1(q), form.elbow_angle_from_stretched(q)
     return quantities
 
 

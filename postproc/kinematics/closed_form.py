@@ -26,7 +26,7 @@ _TOLERANCE = 1e-6
 (assumed)."""
 _IN_LINE = 1e-6
 """A5 within this of where A4 and A6 are in line [rad] counts as on the side of A5 > 0: its sign is rounding."""
-_NO_TURN = 1e-12
+_LEAST_WRIST_SINE = 1e-12
 """Sine of A5 below which only the sum of A4 and A6 means something: A4 is then 0."""
 
 
@@ -57,9 +57,9 @@ class ClosedForm(Struct, frozen=True, eq=False):
     :param tilt: (2,) of upper arm and forearm against the vertical [rad].
     :param sign: (3,) of A1, A2, A3 about up, across, across.
     :param wrist: (3, 1) the wrist centre in the flange frame.
-    :param before_wrist: (3, 3) rows: the wrist's own X, Y (along A5), Z (along A4).
-    :param hand: (3, 3) the same axes in the flange, turned so that Z lies along A6.
-    :param bend: A5 at which A4 and A6 are in line, with the other sign [rad].
+    :param wrist_frame: (3, 3) rows: the wrist's own X, Y (along A5), Z (along A4) at zero angles.
+    :param wrist_frame_in_flange: (3, 3) columns: the same axes in the flange frame, turned so that Z lies along A6.
+    :param bend: minus the A5 at which A4 and A6 are in line [rad]: there A5 + bend is 0.
     """
 
     axes: Array
@@ -71,25 +71,29 @@ class ClosedForm(Struct, frozen=True, eq=False):
     tilt: Array
     sign: Array
     wrist: Array
-    before_wrist: Array
-    hand: Array
+    wrist_frame: Array
+    wrist_frame_in_flange: Array
     bend: float
 
     @property
-    def elbow_stretched(self) -> float:
-        """A3 [rad] at which the wrist centre lies on the line through axes 2 and 3."""
+    def stretched_elbow_angle(self) -> float:
+        """A3 [rad] of the stretched arm: the wrist centre is on the line through axes 2 and 3."""
         return float(wrap_angles(self.sign[2] * (self.tilt[0] - self.tilt[1])))
 
-    def wrist_distance_ahead(self, q: Array) -> Array:
+    def wrist_distance_ahead_of_a1(self, q: Array) -> Array:
         """Return how far (N,) [m] the wrist centre is ahead of the A1 axis at angles (N, 6) [rad]; < 0 overhead."""
         upper_angle = self.tilt[0] + self.sign[1] * q[:, 1]
         forearm_angle = self.tilt[1] + self.sign[1] * q[:, 1] + self.sign[2] * q[:, 2]
         (upper_sine, _), (forearm_sine, _) = sine_and_cosine(upper_angle), sine_and_cosine(forearm_angle)
         return np.asarray(self.shoulder + self.upper_arm * upper_sine + self.forearm * forearm_sine)
 
-    def angle_from_stretched(self, q: Array) -> Array:
+    def elbow_angle_from_stretched(self, q: Array) -> Array:
         """Return A3 minus its value for the stretched arm (N,) [rad], from −π to π, at angles (N, 6) [rad]."""
-        return wrap_angles(q[:, 2] - self.elbow_stretched)
+        return wrap_angles(q[:, 2] - self.stretched_elbow_angle)
+
+    def wrist_angle_from_in_line(self, q: Array) -> Array:
+        """Return A5 minus its value where A4 and A6 are in line (N,) [rad], from −π to π, at angles (N, 6) [rad]."""
+        return wrap_angles(q[:, 4] + self.bend)
 
     def branch_of(self, q: Array) -> Ints:
         """Return the branch 0…7 (N,) of joint angles (N, 6) [rad]; if A4 and A6 are in line, that of A5 > 0.
@@ -97,9 +101,9 @@ class ClosedForm(Struct, frozen=True, eq=False):
         Bit 0: the wrist centre is behind the A1 axis (overhead). Bit 1: A3 is beyond the stretched arm. Bit 2: the
         wrist is bent to the negative side.
         """
-        is_overhead = self.wrist_distance_ahead(q) < 0.0
-        is_elbow_positive = self.angle_from_stretched(q) >= 0.0
-        is_wrist_negative = wrap_angles(q[:, 4] + self.bend) < -_IN_LINE
+        is_overhead = self.wrist_distance_ahead_of_a1(q) < 0.0
+        is_elbow_positive = self.elbow_angle_from_stretched(q) >= 0.0
+        is_wrist_negative = self.wrist_angle_from_in_line(q) < -_IN_LINE
         return np.asarray(is_overhead * 1 + is_elbow_positive * 2 + is_wrist_negative * 4, dtype=np.int64)
 
     def branches(self, pose_flange_in_root: Array) -> Array:
@@ -157,18 +161,20 @@ class ClosedForm(Struct, frozen=True, eq=False):
         :param columns: X, Y and Z (3, n) of the flange in the root.
         :param wrist_bit: 1 for a wrist bent to the negative side, else 0; one for all or (n,).
         """
-        hand = np.stack([combination(columns, column[:, None]) for column in self.hand.T], axis=1)
-        x, y, z = np.tensordot(self.axes, hand, 1)
+        wrist_axes = np.stack(
+            [combination(columns, column[:, None]) for column in self.wrist_frame_in_flange.T], axis=1
+        )
+        x, y, z = np.tensordot(self.axes, wrist_axes, 1)
         # turned back by A1
         sine, cosine = sine_and_cosine(arm.heading)
         x, y = x * cosine + y * sine, y * cosine - x * sine
         # turned back by A2 and A3
         sine, cosine = sine_and_cosine(arm.upper + arm.elbow - self.tilt[1])
         x, z = x * cosine - z * sine, z * cosine + x * sine
-        # m = Rz(A4)·Ry(A5 + bend)·Rz(A6)
-        m = np.tensordot(self.before_wrist, np.stack([x, y, z]), 1)
+        # m = Rz(A4)·Ry(A5 + bend)·Rz(A6), which states the three angles
+        m = np.tensordot(self.wrist_frame, np.stack([x, y, z]), 1)
         wrist_sine = np.sqrt(m[0, 2] * m[0, 2] + m[1, 2] * m[1, 2])
-        is_unique = wrist_sine > _NO_TURN
+        is_unique = wrist_sine > _LEAST_WRIST_SINE
         factor = (1 - 2 * wrist_bit) / np.where(is_unique, wrist_sine, 1.0)
         cosine_a4 = np.where(is_unique, m[0, 2] * factor, 1.0)
         sine_a4 = np.where(is_unique, m[1, 2] * factor, 0.0)
@@ -229,8 +235,8 @@ def _form_at_zero_angles(chain: Chain) -> ClosedForm:
         tilt=np.arctan2(bars[:, 0], bars[:, 2]),
         sign=np.sign([axis[0] @ up, axis[1] @ y_axis, axis[2] @ y_axis]),
         wrist=clean(flange[:, :3].T @ (wrist - flange[:, 3])[:, None]),
-        before_wrist=clean(wrist_axes @ axes.T),
-        hand=clean(flange[:, :3].T @ wrist_axes.T @ about_y),
+        wrist_frame=clean(wrist_axes @ axes.T),
+        wrist_frame_in_flange=clean(flange[:, :3].T @ wrist_axes.T @ about_y),
         bend=bend,
     )
 

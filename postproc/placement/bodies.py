@@ -16,18 +16,21 @@ _DEFLECTION_FACTOR = 2.0
 class Bodies:
     """The bodies of a cell with [collision], with each tool of a program."""
 
-    def __init__(self, samples: PathSamples, need_mm: float) -> None:
+    def __init__(self, samples: PathSamples, clearance_mm: float) -> None:
         """Read the bodies of the cell for each tool of a program.
 
-        :param need_mm: smallest allowed distance [mm]; 0: no contact. `_DEFLECTION_FACTOR` times the largest deflection
-            by the forces is added, as a correction moves the tool by about as much.
+        :param clearance_mm: smallest allowed distance [mm]; 0: no contact. `_DEFLECTION_FACTOR` times the largest
+            deflection by the forces is added, as a correction moves the tool by about as much.
         :raises CellError: a body cannot be read.
         """
         program, robot_in_cell = samples.program, samples.robot_in_cell
-        force, moment = robot_in_cell.tip_compliance(program.tools[0])
+        # compliance of the tip under a force [m/N] and under a moment [m/(N·m)]
+        force_compliance, moment_compliance = robot_in_cell.tip_compliance(program.tools[0])
         wrench = np.abs(samples.forces.at(samples.sample)).max(axis=0, initial=0.0)
-        deflection = force * float(np.linalg.norm(wrench[:3])) + moment * float(np.linalg.norm(wrench[3:]))
-        self.min_distance = need_mm * M_PER_MM + _DEFLECTION_FACTOR * deflection
+        deflection = force_compliance * float(np.linalg.norm(wrench[:3])) + moment_compliance * float(
+            np.linalg.norm(wrench[3:])
+        )
+        self.min_distance = clearance_mm * M_PER_MM + _DEFLECTION_FACTOR * deflection
         self.chain = robot_in_cell.robot.nominal
         self.tool = program.motions.tool[samples.sample.motion]
         self.solids = {
@@ -58,24 +61,23 @@ class Bodies:
         is_in_reach = np.asarray(np.isfinite(q).all(axis=1))
         tool = self.tool[rows]
         # stretches of the path with one tool and without a gap
-        begins = breaks.copy()
-        begins |= ~is_in_reach
-        begins[1:] |= ~is_in_reach[:-1] | (np.diff(tool) != 0)
-        ends = np.append(np.flatnonzero(begins[1:]) + 1, len(rows))
+        is_first = breaks.copy()
+        is_first |= ~is_in_reach
+        is_first[1:] |= ~is_in_reach[:-1] | (np.diff(tool) != 0)
+        ends = np.append(np.flatnonzero(is_first[1:]) + 1, len(rows))
         solids_by_tool = {
             key: solids if base_motion is None else solids.move_base(base_motion) for key, solids in self.solids.items()
         }
         for begin, end in zip(np.append(0, ends[:-1]).tolist(), ends.tolist(), strict=True):
             if begin < end and is_in_reach[begin]:
-                part = slice(begin, end)
-                steps = wrap_angles(np.diff(q[part], axis=0))
-                path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])
-                part_shift = None if shift is None else shift[part]
-                is_hit[part] = hits(
+                stretch = slice(begin, end)
+                steps = wrap_angles(np.diff(q[stretch], axis=0))
+                path = q[begin] + np.concatenate([np.zeros((1, 6)), np.cumsum(steps, axis=0)])  # without whole turns
+                is_hit[stretch] = hits(
                     solids_by_tool[int(tool[begin])],
                     path,
                     self.min_distance,
-                    part_shift,
+                    None if shift is None else shift[stretch],
                     between_samples=between_samples,
                 )
         return is_hit
@@ -102,9 +104,9 @@ class Bodies:
         """
         tools = self.tool[rows]
         for tool, solids in self.solids.items():
-            of_tool = tools == tool
-            if of_tool.any() and solids.move_base(base_motion).is_closer(
-                link_frames(self.chain, q[of_tool], shift[of_tool]), self.min_distance
+            has_tool = tools == tool
+            if has_tool.any() and solids.move_base(base_motion).is_closer(
+                link_frames(self.chain, q[has_tool], shift[has_tool]), self.min_distance
             ):
                 return True
         return False

@@ -18,10 +18,10 @@ from postproc.robot import RobotModel
 from postproc.under_load import RobotInCell
 
 REASONS = ("free", "out of reach", "joint limit", "singular pose", "joint speed", "collision")
-"""Reasons to refuse a pose, in the order in which they are checked; the first is none."""
+"""Reasons to refuse a pose, in the order in which they are checked; the first, "free", refuses nothing."""
 PLACE_REASONS = (*REASONS, "collision on the move from [start]")
 """Reasons to refuse a place."""
-FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION, FIRST_MOVE = range(7)
+FREE, REACH, LIMIT, SINGULAR, SPEED, COLLISION, FIRST_MOVE = range(7)  # indices in PLACE_REASONS
 LEAST_SAVING = 0.02
 """Share of the expected error that another place or turn must save; else that of today stays (assumed)."""
 TRIED_TURNS = np.arange(-180.0, 180.0, 30.0) * RAD_PER_DEG
@@ -49,7 +49,14 @@ class LeastMargins(Struct, frozen=True):
     jump: float = 40.0 * RAD_PER_DEG
 
 
-BARE_MARGINS = LeastMargins(0.01 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.25 * RAD_PER_DEG, 0.006, 0.98, 44.0 * RAD_PER_DEG)
+BARE_MARGINS = LeastMargins(
+    joint=0.01 * RAD_PER_DEG,
+    wrist=0.25 * RAD_PER_DEG,
+    elbow=0.25 * RAD_PER_DEG,
+    shoulder=0.006,
+    speed=0.98,
+    jump=44.0 * RAD_PER_DEG,
+)
 """The least margins that a program must keep to be converted."""
 
 
@@ -80,21 +87,27 @@ def solve(robot: RobotModel, flange: Array, branch: int | Ints) -> Array:
 
 
 def margins(robot: RobotModel, q: Array) -> Margins:
-    """Return the margins of joint angles (6, n) [rad], which are near the middle of their limits as from `solve`."""
+    """Return the margins of joint angles (6, n) [rad]; NaN where these are NaN.
+
+    Angles must be within half a turn of the middle of their limits, as `solve` returns them: so A4 and A6 have the
+    largest margin that whole turns of them allow.
+    """
     form = kinematics.closed_form(robot)
     with np.errstate(invalid="ignore"):
-        joint = np.minimum(q - robot.lower[:, None], robot.upper[:, None] - q).min(axis=0)
-        rows = q.T
+        limit_distance = np.minimum(q - robot.lower[:, None], robot.upper[:, None] - q)
+        rows = q.T  # (n, 6), as the closed form takes them
         return Margins(
-            joint,
-            np.abs(wrap_angles(q[4] + form.bend)),
-            np.abs(form.angle_from_stretched(rows)),
-            np.abs(form.wrist_distance_ahead(rows)),
+            joint=limit_distance.min(axis=0),
+            wrist=np.abs(form.wrist_angle_from_in_line(rows)),
+            elbow=np.abs(form.elbow_angle_from_stretched(rows)),
+            shoulder=np.abs(form.wrist_distance_ahead_of_a1(rows)),
         )
 
 
 def reason(margin: Margins, speed: Array, jump: Array, keep: LeastMargins, hit: Bools | None = None) -> Ints:
-    """Return the first reason (...,) to refuse configurations, as an index in `REASONS`; 0: none.
+    """Return the first reason (...,) to refuse configurations, as an index in `REASONS`; `FREE`: none.
+
+    A large jump counts as a singular pose, near which joints turn far between neighbouring samples. NaN is refused.
 
     :param margin: margins (...,) of the configurations.
     :param speed: (...,) largest joint speed as a share of its limit.
@@ -144,7 +157,7 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
     :param load: loads of the tool at these joint angles.
     """
     deflection = _deflections(robot_in_cell, q, tool, load.wrench, load.pose)
-    series = _in_series(robot_in_cell.tool_spring, load.pose)
+    tool_compliance = _tool_compliance(robot_in_cell.tool_spring, load.pose)
     with np.errstate(invalid="ignore", divide="ignore"):
         u95 = elastostatics.position_bound(
             robot_in_cell.robot,
@@ -152,13 +165,13 @@ def errors(robot_in_cell: RobotInCell, q: Array, tool: Array, load: Load) -> tup
             tool,
             load.wrench,
             force_spread=load.spread,
-            in_series=series,
+            in_series=tool_compliance,
             is_proportional=load.is_scaled,
         )
     return np.full(len(q), np.nan) if u95 is None else u95, deflection
 
 
-def _in_series(spring: ToolSpring | None, pose: Array) -> Array | None:
+def _tool_compliance(spring: ToolSpring | None, pose: Array) -> Array | None:
     """Return the compliance (n, 6, 6) of the tool in root axes at poses (n, 4, 4); None without a spring."""
     return None if spring is None else spring.matrices(pose[:, :3, :3])
 
@@ -185,10 +198,11 @@ def _deflections(robot_in_cell: RobotInCell, q: Array, tool: Array, wrench: Arra
     return deflection
 
 
-def timed_speed(robot: RobotModel, step: Array, time: Array) -> Array:
+def largest_speed_share(robot: RobotModel, step: Array, time: Array) -> Array:
     """Return the largest joint speed (n,) as a share of its limit, for turns (6, n) [rad] within times (n,) [s]."""
     with np.errstate(invalid="ignore"):
-        return np.asarray((np.abs(step) / robot.speed[:, None]).max(axis=0) / time)
+        least_time = (np.abs(step) / robot.speed[:, None]).max(axis=0)  # of the slowest joint at full speed
+        return np.asarray(least_time / time)
 
 
 def is_refused(reasons: Ints) -> Bools:

@@ -171,7 +171,7 @@ class _Stations(Struct, frozen=True, eq=False):
     :param row: (n,) rows of the stations among these, and `before` (n,) rows of the samples before them.
     :param shift: (2n, 3) displacement of the robot by E1 [m]: first at `before`, then at the stations.
     :param branch: (2n,) branches that the program states, in the same order; −1: the branch of the start.
-    :param cuts: (n,) False on rapid moves.
+    :param is_at_feed: (n,) True on motions at feed, False on rapid moves.
     :param first_joints: (k, 6) joint targets before the first station [rad].
     """
 
@@ -180,7 +180,7 @@ class _Stations(Struct, frozen=True, eq=False):
     before: Ints
     shift: Array
     branch: Ints
-    cuts: Bools
+    is_at_feed: Bools
     first_joints: Array
 
     @property
@@ -237,7 +237,7 @@ class Programs:
         self.samples, self.keep = list(samples), keep
         self.robot_in_cell = samples[0].robot_in_cell
         self.robot = self.robot_in_cell.robot
-        self.today = inverse(self.robot_in_cell.cell.base.pose())
+        self.root_in_base = inverse(self.robot_in_cell.cell.base.pose())
         self.turns = drive.TRIED_TURNS if turns else np.zeros(1)
         self.branch = int(kinematics.closed_form(self.robot).branch_of(self.robot_in_cell.cell.start_joints[None])[0])
         self.bodies = None if clearance_mm is None else [Bodies(item, clearance_mm) for item in samples]
@@ -255,7 +255,7 @@ class Programs:
         """
         best: JudgedPlace | None = None
         cell_turn: JudgedPlace | None = None
-        nearest = JudgedPlace(tuple(map(float, place)), drive.REACH)
+        nearest = JudgedPlace(tuple(map(float, place)), drive.REACH)  # of the refused turns, the one refused last
         for turn in self.turns.tolist():
             judgement = self._judge(
                 place, turn, self.branch, self.full_stations if all_samples else self.station_choice
@@ -303,14 +303,14 @@ class Programs:
         return JudgedPlace(coordinates, FREE, deflection, u95, margin, singular, turn, branch)
 
     def _motion_to(self, place: Array) -> tuple[Array, Array]:
-        """Return the motion (4, 4) of the part from its place in the cell, and the displacement (3,) by E1 [m].
+        """Return the motion (4, 4) of the part from its place in the cell and the displacement (3,) by E1 in the root.
 
         :param place: (5,) X, Y, Z, A and E1 [mm, deg].
         """
         base = self.robot_in_cell.cell.base
         pose = pose_from_xyzabc([*place[:4], base.B, base.C])
         direction = self.robot_in_cell.cell.carriage
-        return pose @ self.today, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
+        return pose @ self.root_in_base, np.zeros(3) if direction is None else direction * (place[4] / MM_PER_M)
 
     def _joint_path(
         self, group: _Stations, base_motion: Array, e1_shift: Array, turn: float, branch: int
@@ -326,11 +326,12 @@ class Programs:
         flange[:, :3, 3] -= group.shift + e1_shift
         branches = np.where(group.branch >= 0, group.branch, branch)
         is_one_branch = bool((branches == branches[0]).all())
-        # first the samples before the stations, then the stations; one branch for all is solved faster
+        # first the n samples before the stations, then the n stations; one branch for all is solved faster
         q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
         margins, count = drive.margins(self.robot, q), len(group.row)
-        step = np.nan_to_num(wrap_angles(q[:, count:] - q[:, :count]))
-        speed = drive.timed_speed(self.robot, step, group.samples.time[group.row])
+        step = np.nan_to_num(wrap_angles(q[:, count:] - q[:, :count]))  # to each station from the sample before it
+        speed = drive.largest_speed_share(self.robot, step, group.samples.time[group.row])
+        # on joint interpolations and rapid moves, whose time is infinite, joints may turn as far as they like
         jump = np.where(np.isfinite(group.samples.time[group.row]), np.abs(step).max(axis=0), 0.0)
         at_stations = Margins(*(getattr(margins, name)[count:] for name in Margins.__struct_fields__))
         reasons = drive.reason(at_stations, speed, jump, self.keep)
@@ -359,9 +360,9 @@ class Programs:
 
         :param turn: turn of the tool about its axis [rad].
         """
-        rows = group.row[group.cuts]
+        rows = group.row[group.is_at_feed]
         load = group.samples.load(rows, np.full(len(rows), turn))
-        load.pose[:, :3, 3] += group.shift_at_stations[group.cuts]
+        load.pose[:, :3, 3] += group.shift_at_stations[group.is_at_feed]
         return load
 
     def _collision_reason(self, bodies: Bodies, group: _Stations, q: Array, base_motion: Array, e1_shift: Array) -> int:
@@ -383,7 +384,8 @@ class Programs:
         path = np.concatenate([approach, q[:path_count]])
         rows = np.append(np.full(len(approach), group.row[0]), group.row[:path_count])
         shift = np.concatenate([np.repeat(shift[:1], len(approach), axis=0), shift[:path_count]])
-        is_hit = bodies.is_hit_along_path(path, rows, np.zeros(len(path), dtype=bool), shift, base_motion)
+        breaks = np.zeros(len(path), dtype=bool)
+        is_hit = bodies.is_hit_along_path(path, rows, breaks, shift, base_motion)
         if is_hit[len(approach) + 1 :].any():
             return drive.COLLISION
         return drive.FIRST_MOVE if is_hit.any() else FREE
@@ -409,12 +411,12 @@ class Programs:
         :param turn: turn of the tool about its axis [rad].
         :param q: (n, 6) joint angles at the stations [rad].
         """
-        cuts = np.flatnonzero(group.cuts)
+        cut_rows = np.flatnonzero(group.is_at_feed)
         samples = group.samples
         tool = toolpath.tool_of(samples.program, samples.sample.motion[group.row])
         singular = float(kinematics.smallest_singular_values(self.robot, q, tool).min())
-        if not len(cuts):
-            return _Errors(0.0, 0.0, singular)
+        if not len(cut_rows):
+            return _Errors(deflection=0.0, u95=0.0, singular=singular)
         load = self._load(group, turn)
         rotation = base_motion[:3, :3]
         wrench = (load.wrench.reshape(-1, 2, 3) @ rotation.T).reshape(-1, 6)  # force and moment each turn
@@ -422,11 +424,11 @@ class Programs:
         if spread is not None:
             spread = (rotation @ spread.reshape(len(spread), 2, 3, -1)).reshape(spread.shape)
         pose = product(base_motion, load.pose)
-        pose[:, :3, 3] -= group.shift_at_stations[cuts] + e1_shift
+        pose[:, :3, 3] -= group.shift_at_stations[cut_rows] + e1_shift
         u95, deflection = drive.errors(
             self.robot_in_cell,
-            q[cuts],
-            tool if tool.ndim == 2 else tool[cuts],
+            q[cut_rows],
+            tool if tool.ndim == 2 else tool[cut_rows],
             Load(wrench, spread, pose, load.is_scaled),
         )
         return _Errors(float(deflection.max()), float(u95.max()), singular)
@@ -458,7 +460,7 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
         except UnreachableError:
             pass  # the status of targets cannot be resolved at the place of the cell: the branch of the start is taken
     first_joints = m.joints[: motion[row[0]]]
-    return _Stations(samples, row, previous, shift, branch, np.asarray(samples.cuts[row]), first_joints)
+    return _Stations(samples, row, previous, shift, branch, np.asarray(samples.is_at_feed[row]), first_joints)
 
 
 def numbers_of_base(cell: Cell) -> tuple[str, ...]:
@@ -527,14 +529,15 @@ def search(
 ) -> Search:
     """Return the places tried in a region, and the best of them.
 
-    They are a grid, a finer slice through its best place, and steps from the best places of both. Today's place stays
-    if it is in the region and no other place saves enough.
+    They are a grid, a finer slice through its best place, and steps from the best places of both. Today's place, the
+    [base] of the cell, stays if it is in the region and no other place saves enough.
 
     :param progress: called with the number of places done and their expected total; None: not called.
     :param assess: converts the programs at today's place and at the best place; None: samples decide.
     """
     cell = programs.robot_in_cell.cell
-    today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, 0.0]), all_samples=True)
+    e1 = 0.0
+    today = programs.judge(np.array([cell.base.X, cell.base.Y, cell.base.Z, cell.base.A, e1]), all_samples=True)
     today = _assess(today, assess)
     lines = _grid_lines(region)
     grid = np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(AXES))
@@ -563,7 +566,7 @@ def search(
     # half of the steps of the grid; 0 along an axis that is not free
     steps = np.array([0.5 * float(np.diff(line[:2]).sum()) for line in lines])
     for start in starts:
-        _descend(judged, region, start, steps)
+        _compass_search(judged, region, start, steps)
     best, refusals = _best_by_conversion(programs, region, judgements, assess)
     limit = np.inf if best is None else (1.0 + drive.LEAST_SAVING) * best.stated_cost
     if _contains(region, today) and today.reachable and today.stated_cost <= limit:
@@ -587,8 +590,8 @@ def _assess(place: JudgedPlace, assess: Assess | None) -> JudgedPlace:
     return place if assess is None or not place.reachable else replace(place, assessment=assess(place))
 
 
-def _descend(judge: Callable[[Array], JudgedPlace], region: Region, start: JudgedPlace, steps: Array) -> None:
-    """Judge neighbours of `start` along the axes, and move to better ones; without any, halve the steps.
+def _compass_search(judge: Callable[[Array], JudgedPlace], region: Region, start: JudgedPlace, steps: Array) -> None:
+    """Move from `start` to better neighbours along the axes as long as there are any; then halve the steps.
 
     :param judge: judges a place (5,), and records the judgement.
     :param steps: (5,) first steps along each axis [mm, deg].

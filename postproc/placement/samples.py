@@ -20,8 +20,9 @@ _SAMPLE_SPACING = 0.020
 _SAMPLE_ROTATION = np.radians(5.0)
 """Largest rotation of the tool between samples [rad] (assumed)."""
 _SHORTEST_TRAVEL = 1e-6
-"""Pieces of path shorter than this [m] turn the tool in place: the feed does not time them (assumed)."""
+"""Path between samples that is shorter than this [m] turns the tool in place: the feed does not time it (assumed)."""
 SPINDLE_AXES = {"+Z": (0.0, 0.0, 1.0), "-Z": (0.0, 0.0, -1.0), "+X": (1.0, 0.0, 0.0), "-X": (-1.0, 0.0, 0.0)}
+"""Key of [tool] axis → direction from the spindle to the tip in the tool frame."""
 
 
 class Load(NamedTuple):
@@ -46,7 +47,7 @@ class PathSamples(Struct, frozen=True, eq=False):
     :param robot_in_cell: the robot in its cell.
     :param segments: start and length of its motions.
     :param forces: the forces along them.
-    :param sample: places of the samples and their poses in `$BASE`.
+    :param sample: motion, place t in it (0…1) and pose in `$BASE` of each sample.
     :param time: (N,) time from the sample before at the programmed feed [s]. It is infinite if the feed does not state
         it: on joint interpolations, rapid moves (which are slowed if a joint would be too fast) and turns in place.
     """
@@ -60,9 +61,10 @@ class PathSamples(Struct, frozen=True, eq=False):
 
     @classmethod
     def of(cls, program: Program, robot_in_cell: RobotInCell, source: ForceSource | None) -> PathSamples:
-        """Return samples of a program: the end of every motion, and places between.
+        """Return samples of a program: the end of every motion, and points between at places t.
 
-        A joint interpolation and a piece of a spline have their end only.
+        A place t is the share of a motion that is done: 0 at its start, 1 at its end. A joint interpolation and a
+        segment of a spline have their end only.
 
         :param source: forces that take precedence over the comments of the program; None: the comments only.
         :raises ForceError: the forces do not match the motions.
@@ -70,11 +72,11 @@ class PathSamples(Struct, frozen=True, eq=False):
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
         path_forces = forces.assign(program, segments, source, robot_in_cell.spindle, robot_in_cell.ramp)
-        parts = toolpath.even_parts(segments.travel, segments.turn, _SAMPLE_SPACING, _SAMPLE_ROTATION)
-        parts[(m.kind == PTP) | (m.kind == SPL)] = 1
-        motion, t = toolpath.even_places(np.arange(len(m)), parts)
+        sample_count = toolpath.even_parts(segments.travel, segments.turn, _SAMPLE_SPACING, _SAMPLE_ROTATION)
+        sample_count[(m.kind == PTP) | (m.kind == SPL)] = 1
+        motion, t = toolpath.even_places(np.arange(len(m)), sample_count)
         sample = toolpath.at(program, segments, motion, t)
-        travel = segments.length[motion] / parts[motion]
+        travel = segments.length[motion] / sample_count[motion]
         feed = m.feed[motion]
         has_time = ~m.rapid[motion] & (m.kind[motion] != PTP) & (travel > _SHORTEST_TRAVEL) & (feed > 0.0)
         time = np.where(has_time, travel / np.where(has_time, feed, 1.0), np.inf)
@@ -118,7 +120,7 @@ class PathSamples(Struct, frozen=True, eq=False):
         return pose
 
     @property
-    def cuts(self) -> Array:
+    def is_at_feed(self) -> Array:
         """(N,) True for samples of motions at feed."""
         return np.asarray(~self.program.motions.rapid[self.sample.motion])
 

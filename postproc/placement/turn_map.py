@@ -60,7 +60,7 @@ _TURN_COST = 0.003
 _TURNING_PRICE = 5e-5
 """Expected error [m] that a cut must save to turn at `_TURN_PER_MM`, and less in proportion for a slower turn. Assumed:
 nothing measures what a fast turn of the wrist costs on the part."""
-_HAND_SHARE = 0.1
+_WRIST_SHARE = 0.1
 """Share of `_TURN_COST` that A4 or A6 costs for each radian of a joint interpolation, which cuts nothing (assumed)."""
 _EASY_MARGIN = 15.0 * RAD_PER_DEG
 """Margin of joints and wrist beyond which more margin is worth little [rad]."""
@@ -73,8 +73,9 @@ class Blocks(Struct, frozen=True, eq=False):
     :param block: (K,) block of each bin.
     :param share: (K,) share of the path of its block at the end of the bin, in (0, 1].
     :param cut_length: (K,) length of the cutting path in the bin [m], see `toolpath.cut_lengths`; 0 on rapid moves.
-    :param begins: (B,) True for blocks that do not continue the block before: the first one, and joint interpolations.
-    :param cuts: (B,) True for blocks at feed.
+    :param is_start: (B,) True for blocks that do not continue the block before, so that any turn is possible there: the
+        first one, and joint interpolations.
+    :param is_at_feed: (B,) True for blocks at feed.
     :param length: (B,) path length [m].
     :param time: (B,) duration at the programmed feed [s]; 0 for rapid blocks, whose turn no time limits.
     :param motion: (B,) last motion of each block.
@@ -84,8 +85,8 @@ class Blocks(Struct, frozen=True, eq=False):
     block: Ints
     share: Array
     cut_length: Array
-    begins: Array
-    cuts: Array
+    is_start: Array
+    is_at_feed: Array
     length: Array
     time: Array
     motion: Ints
@@ -114,8 +115,8 @@ class Blocks(Struct, frozen=True, eq=False):
         first_motions = np.concatenate([[0], last_motions[:-1] + 1])
         # no force goes on from sample to sample: the whole path that leads to a sample then counts for it. Samples are
         # dense, and the forces at them are those of their motions
-        goes_on = np.zeros(len(motion), dtype=bool)
-        cut_length = cut_lengths(m, length, motion, samples.sample.t, goes_on)
+        force_continues = np.zeros(len(motion), dtype=bool)
+        cut_length = cut_lengths(m, length, motion, samples.sample.t, force_continues)
         is_cut = ~m.rapid
         seconds = np.nan_to_num(length[is_cut] / m.feed[is_cut])  # a PTP at feed has no feed (NaN)
         return cls(
@@ -123,8 +124,8 @@ class Blocks(Struct, frozen=True, eq=False):
             block=block_of_sample[first_samples],
             share=share,
             cut_length=np.add.reduceat(cut_length, first_samples),
-            begins=is_ptp[first_motions] | (first_motions == 0),
-            cuts=is_cut[first_motions],
+            is_start=is_ptp[first_motions] | (first_motions == 0),
+            is_at_feed=is_cut[first_motions],
             length=np.asarray(np.bincount(block_of_sample, travel), dtype=float),
             time=np.asarray(np.bincount(block_of_motion[is_cut], seconds, minlength=len(first_motions)), dtype=float),
             motion=last_motions,
@@ -151,7 +152,7 @@ class Blocks(Struct, frozen=True, eq=False):
         length_left = ends[block] - path_length
         share = np.where(total > 0.0, 1.0 - length_left / np.where(total > 0.0, total, 1.0), 1.0)
         start_turn = np.append(knots[0], knots[:-1])
-        start_turn = np.where(self.begins, knots, start_turn)
+        start_turn = np.where(self.is_start, knots, start_turn)
         return np.asarray(start_turn[block] + np.clip(share, 0.0, 1.0) * (knots - start_turn)[block])
 
 
@@ -314,7 +315,7 @@ class _Chunk(NamedTuple):
     :param lead: 1 if `rows` begin with the sample before; 0 at the start of the path.
     :param rows: (lead + n,) samples.
     :param starts: (k,) first sample of each bin, and `ends` (k,) last sample, counted from `begin`.
-    :param is_free: (n,) True on joint interpolations: steps from the sample before do not count.
+    :param is_ptp: (n,) True on joint interpolations: steps from the sample before do not count.
     :param pose_rows: samples at which bodies are compared, counted from `begin`.
     :param pose: (3, 4, lead + n) tool frames in the root, without turn.
     :param tool: (3, 4, 1 or lead + n) flange in the tool frame; 1: one tool for all samples.
@@ -327,7 +328,7 @@ class _Chunk(NamedTuple):
     rows: Ints
     starts: Ints
     ends: Ints
-    is_free: Bools
+    is_ptp: Bools
     pose_rows: Ints
     pose: Array
     tool: Array
@@ -344,7 +345,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
     motions, count = samples.program.motions, len(blocks.first)
     pose_rows = np.arange(0, len(samples), max(1, len(samples) // MOST_POSES))
     pose_rows = distinct(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
-    free = motions.kind[samples.sample.motion] == PTP
+    is_ptp = motions.kind[samples.sample.motion] == PTP
     bounds = np.append(blocks.first, len(samples))
     tools = components(inverse(samples.program.tools))
     from_bin = 0
@@ -363,7 +364,7 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
             rows=rows,
             starts=blocks.first[from_bin:to_bin] - begin,
             ends=bounds[from_bin + 1 : to_bin + 1] - 1 - begin,
-            is_free=free[begin:end],
+            is_ptp=is_ptp[begin:end],
             pose_rows=pose_rows[slice(*np.searchsorted(pose_rows, [begin, end]))] - begin,
             pose=_tool_frames(samples, rows),
             tool=tools if tools.shape[-1] == 1 else tools[..., motions.tool[motion]],
@@ -375,17 +376,18 @@ def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
 def _solve(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, branch: int) -> tuple[Array, Array]:
     """Return joint angles (6, lead + n) of a chunk at a turn, and their steps (6, n) from the sample before [rad].
 
-    The first sample of the path has the step 0.
+    A chunk is n samples, with the sample before them (lead = 1) except at the start of the path (lead = 0). The first
+    sample of the path has the step 0.
 
     :param base: (N,) turn of each sample [rad], and `offset` (1,) that is added to it [rad].
     :param branch: branch of the inverse kinematics.
     """
     has_base = base[chunk.rows].any()
     turn = samples.rotation(base[chunk.rows] + offset[0]) if has_base else samples.rotation(offset)
-    columns = [chunk.pose[:, k] for k in range(4)]
-    local = np.zeros((3, 4, turn.shape[0]))
-    local[:, :3] = np.moveaxis(turn, 0, -1)
-    flange = product(columns, product([local[:, k] for k in range(4)], chunk.tool))
+    tool_frame = [chunk.pose[:, k] for k in range(4)]
+    turned_frame = np.zeros((3, 4, turn.shape[0]))  # in the tool frame
+    turned_frame[:, :3] = np.moveaxis(turn, 0, -1)
+    flange = product(tool_frame, product([turned_frame[:, k] for k in range(4)], chunk.tool))
     q = drive.solve(samples.robot_in_cell.robot, flange, branch)
     q[:, chunk.is_axis_target] = chunk.joints[chunk.is_axis_target].T
     step = np.diff(q, axis=1) if chunk.lead else np.diff(q, axis=1, prepend=q[:, :1])
@@ -395,22 +397,24 @@ def _solve(samples: PathSamples, chunk: _Chunk, base: Array, offset: Array, bran
 def _fill(turn_map: TurnMap, j: int, samples: PathSamples, chunk: _Chunk, q: Array, step: Array) -> None:
     """Enter margins, speeds, jumps and windings of the joints on the bins of a chunk into column j of the map.
 
-    :param q: (6, lead + n) joint angles with this turn [rad], and `step` (6, n) from the sample before [rad].
+    :param j: the turn, a column of the map.
+    :param q: (6, lead + n) joint angles with this turn [rad], and `step` (6, n) from the sample before [rad]; lead is 1
+        if `q` begins with the sample before the chunk.
     """
     robot, bins, starts = samples.robot_in_cell.robot, chunk.bins, chunk.starts
     q = q[:, chunk.lead :]
     # A4 and A6 may wind; half a turn of another joint between samples is a jump to another solution, and refused
-    flips = (np.abs(np.delete(step, WINDING_JOINTS, axis=0)) > np.pi).any(axis=0) & ~chunk.is_free
+    flips = (np.abs(np.delete(step, WINDING_JOINTS, axis=0)) > np.pi).any(axis=0) & ~chunk.is_ptp
     step = np.nan_to_num(wrap_angles(step))
-    step[:, chunk.is_free] = 0.0
+    step[:, chunk.is_ptp] = 0.0
     margin = drive.margins(robot, q)
-    margin.joint[flips] = -1.0
+    margin.joint[flips] = -1.0  # a negative margin is refused
     for name in Margins.__struct_fields__:
         values = getattr(margin, name)
-        values[chunk.is_axis_target[chunk.lead :]] = np.inf
+        values[chunk.is_axis_target[chunk.lead :]] = np.inf  # programmed joint angles do not depend on the turn
         getattr(turn_map.margin, name)[bins, j] = np.minimum.reduceat(values, starts)
     time = samples.time[chunk.begin : chunk.begin + q.shape[1]]
-    turn_map.speed[bins, j] = np.maximum.reduceat(drive.timed_speed(robot, step, time), starts)
+    turn_map.speed[bins, j] = np.maximum.reduceat(drive.largest_speed_share(robot, step, time), starts)
     turn_map.jump[bins, j] = np.maximum.reduceat(np.abs(step).max(axis=0), starts)
     turn_map.q[bins, j] = q[:, chunk.ends].T
     turn_map.winding[bins, j] = _windings(step[list(WINDING_JOINTS)], starts)
@@ -421,7 +425,7 @@ def _hits(bodies: Bodies, chunk: _Chunk, q: Array) -> Bools:
     rows = chunk.pose_rows
     is_hit = np.zeros(q.shape[1], dtype=bool)
     samples = chunk.rows[chunk.lead :][rows]
-    is_hit[rows] = bodies.is_hit_along_path(q[:, rows].T, samples, chunk.is_free[rows], between_samples=False)
+    is_hit[rows] = bodies.is_hit_along_path(q[:, rows].T, samples, chunk.is_ptp[rows], between_samples=False)
     return is_hit
 
 
@@ -456,14 +460,14 @@ def _errors(samples: PathSamples, middle: Ints, turn: Array, q: Array) -> tuple[
     :param middle: (K,) the samples.
     :param turn: (K, J) turns of the tool at these samples [rad], and `q` (K, J, 6) joint angles [rad].
     """
-    cuts = np.flatnonzero(samples.cuts[middle])
+    cut_bins = np.flatnonzero(samples.is_at_feed[middle])
     u95, deflection = np.zeros(turn.shape), np.zeros(turn.shape)
-    if not len(cuts):
+    if not len(cut_bins):
         return u95, deflection
     turn_count = turn.shape[1]
-    rows = np.repeat(middle[cuts], turn_count)
-    errors = drive.expected_error(samples, rows, turn[cuts].ravel(), q[cuts].reshape(len(rows), 6))
-    u95[cuts], deflection[cuts] = (values.reshape(len(cuts), turn_count) for values in errors)
+    rows = np.repeat(middle[cut_bins], turn_count)
+    errors = drive.expected_error(samples, rows, turn[cut_bins].ravel(), q[cut_bins].reshape(len(rows), 6))
+    u95[cut_bins], deflection[cut_bins] = (values.reshape(len(cut_bins), turn_count) for values in errors)
     return u95, deflection
 
 
@@ -511,7 +515,7 @@ def line_through(
     :param keep: margins to keep.
     :param start: (6,) joint angles before the program [rad], from which the whole turns of A4 and A6 count.
     :param turn_at_feed: whether the turn may change on cuts; else on rapid moves only.
-    :param is_circle: whether the map is a whole circle of turns.
+    :param is_circle: whether the map is a whole circle of turns, so that its first column follows the last.
     :returns: the line, or the first block that no line passes.
     """
     is_forbidden = drive.is_refused(turn_map.reasons(keep))
@@ -530,11 +534,11 @@ def line_through(
     bounds = np.searchsorted(blocks.block, np.arange(len(blocks.length) + 1)).tolist()  # first bin of each block
     cost, origins = np.full((3, 3, len(turn_map.offset)), np.inf), list[_Origins]()
     for b, bins in enumerate(itertools.starmap(slice, itertools.pairwise(bounds))):
-        cost, origin = search.begin(bins, cost) if blocks.begins[b] else search.advance(b, bins, cost)
+        cost, origin = search.begin(bins, cost) if blocks.is_start[b] else search.advance(b, bins, cost)
         origins.append(origin)
         if not np.isfinite(cost).any():
             return BlockedMap(b)
-    return _trace_line(turn_map, cost, origins)
+    return _line_to_cheapest_state(turn_map, cost, origins)
 
 
 class _Costs(NamedTuple):
@@ -561,14 +565,14 @@ class _Costs(NamedTuple):
         return np.asarray(self.square_error_cost[k] * (2.0 * self.error[k][columns] + increase) * increase)
 
 
-def _costs(turn_map: TurnMap, bad: Bools) -> _Costs:
+def _costs(turn_map: TurnMap, is_forbidden: Bools) -> _Costs:
     """Return the costs of a map; without forces, errors cost nothing.
 
-    :param bad: (K, J) True for refused cells: their errors do not count.
+    :param is_forbidden: (K, J) True for refused cells: their errors do not count.
     """
     blocks = turn_map.blocks
     sample_count = np.diff(np.append(blocks.first, len(turn_map.base)))  # of each bin
-    error = np.where(bad | np.isnan(turn_map.error), np.inf, turn_map.error)
+    error = np.where(is_forbidden | np.isnan(turn_map.error), np.inf, turn_map.error)
     total = float(blocks.cut_length @ np.nan_to_num(error.min(axis=1), posinf=0.0) ** 2)
     square_error_cost = blocks.cut_length / total if total > 0.0 else np.zeros(len(sample_count))
     error[~np.isfinite(error)] = 0.0
@@ -608,12 +612,12 @@ class _Origins(NamedTuple):
 class _State(NamedTuple):
     """A state at the start of a block.
 
-    :param place: index of the whole turns of A4, of A6, and column of the map, as in `_Origins`.
+    :param indices: index of the whole turns of A4, of A6, and column of the map, as in `_Origins`.
     :param angle: (2,) angles of A4 and A6 [rad].
     :param cost: cost of the cheapest line to this state.
     """
 
-    place: tuple[int, int, int]
+    indices: tuple[int, int, int]
     angle: Array
     cost: float
 
@@ -646,8 +650,8 @@ class _Crossing(NamedTuple):
     high_angle: Array
 
 
-class _HandAngles(NamedTuple):
-    """Angles of A4 and A6 on crossings of a block (J, D, 2) [rad] that start at the angles of the map.
+class _WristAngles(NamedTuple):
+    """Angles of A4 and A6 on J × D crossings of a block (J, D, 2) [rad] that start at the angles of the map.
 
     :param low: the least angles, `high` the largest ones, and `end` the angles at the end.
     """
@@ -686,7 +690,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
         :param bins: bins of the block.
         :param cost: (3, 3, J) costs of the states before the block; not used for the first block of the path.
         """
-        end_angle = self.turn_map.q[bins.stop - 1][:, WINDING_JOINTS]
+        end_angle = self.turn_map.q[bins.stop - 1][:, WINDING_JOINTS]  # (J, 2)
         is_free = ~self.is_forbidden[bins].any(axis=0)
         cell_cost = self.costs.cell[bins].sum(axis=0)
         next_cost = np.full(cost.shape, np.inf)
@@ -695,13 +699,13 @@ class _LineSearch(Struct, frozen=True, eq=False):
             turns = np.rint((state.angle - end_angle) / FULL_TURN)
             angle = end_angle + FULL_TURN * turns
             fits = is_free & self._is_permitted(angle, angle) & (np.abs(turns) <= 1).all(axis=1)
-            value = state.cost + cell_cost + _TURN_COST * _HAND_SHARE * np.abs(angle - state.angle).max(axis=1)
+            value = state.cost + cell_cost + _TURN_COST * _WRIST_SHARE * np.abs(angle - state.angle).max(axis=1)
             rows = np.flatnonzero(fits)
-            index4, index6 = turns[rows].T.astype(np.int64) + 1
+            index4, index6 = turns[rows].T.astype(np.int64) + 1  # −1, 0, 1 whole turns are the indices 0, 1, 2
             is_cheaper = value[rows] < next_cost[index4, index6, rows]
             cheaper_states = index4[is_cheaper], index6[is_cheaper], rows[is_cheaper]
             next_cost[cheaper_states] = value[rows[is_cheaper]]
-            turns4[cheaper_states], turns6[cheaper_states], column[cheaper_states] = state.place
+            turns4[cheaper_states], turns6[cheaper_states], column[cheaper_states] = state.indices
         return next_cost, _Origins(turns4, turns6, column, None)
 
     def _states(self, bins: slice, cost: Array) -> Iterator[_State]:
@@ -714,7 +718,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
             and of A6 and by column; infinite where a state cannot be reached.
         """
         if bins.start == 0:
-            yield _State((0, 0, 0), self.start, 0.0)  # no state is before it: the place is not read
+            yield _State((0, 0, 0), angle=self.start, cost=0.0)  # no state is before it: the indices are not read
             return
         angle = self.turn_map.q[bins.start - 1][:, WINDING_JOINTS]
         for j in range(cost.shape[2]):
@@ -762,7 +766,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
         base = turn_map.base_at_ends
         base_change = float(base[bins.stop - 1] - base[bins.start - 1])
         millimetres = float(blocks.length[b]) * MM_PER_M
-        if not blocks.cuts[b]:
+        if not blocks.is_at_feed[b]:
             limit = _RAPID_TURN_PER_MM * millimetres
         elif self.turn_at_feed:
             limit = min(_TURN_PER_MM * millimetres, _TURN_PER_SECOND * float(blocks.time[b]))
@@ -788,13 +792,13 @@ class _LineSearch(Struct, frozen=True, eq=False):
         turning = _turning_speed(turn_map, b, steps)
         price = np.zeros(source.shape)
         for n, k in enumerate(range(bins.start, bins.stop)):
-            is_blocked |= _is_bad_between(self.is_forbidden[k], source + steps * share[n : n + 2, None, None])
+            is_blocked |= _crosses_forbidden(self.is_forbidden[k], source + steps * share[n : n + 2, None, None])
             middle_columns = _nearest_columns(source + steps * (0.5 * (share[n] + share[n + 1])), turn_count)
             price += self.costs.cell[k][middle_columns] + self.costs.cost_of_increase(k, middle_columns, turning_price)
-            if blocks.cuts[b] and len(steps) > 1:
+            if blocks.is_at_feed[b] and len(steps) > 1:
                 end_columns = columns[n + 1]
                 is_blocked |= ~(turn_map.speed[k][end_columns] + turn_map.rate[k][end_columns] * turning <= 1.0)
-        angles = self._hand_angles(bins, columns)
+        angles = self._wrist_angles(bins, columns)
         with np.errstate(invalid="ignore"):
             extra_turns = np.rint((angles.end - turn_map.q[bins.stop - 1][:, None, WINDING_JOINTS]) / FULL_TURN)
         is_blocked |= np.isnan(extra_turns).any(axis=2)
@@ -802,7 +806,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
         price = np.where(is_blocked, np.inf, price)
         return _Crossing(source, price, np.nan_to_num(extra_turns).astype(np.int64), angles.low, angles.high)
 
-    def _hand_angles(self, bins: slice, columns: Sequence[Ints]) -> _HandAngles:
+    def _wrist_angles(self, bins: slice, columns: Sequence[Ints]) -> _WristAngles:
         """Return the angles of A4 and A6 on crossings of a block.
 
         :param bins: bins of the block.
@@ -824,7 +828,7 @@ class _LineSearch(Struct, frozen=True, eq=False):
                 end_q[end_columns][..., WINDING_JOINTS] - end_q[start_columns][..., WINDING_JOINTS]
             )
             low, high = np.minimum(low, angle), np.maximum(high, angle)
-        return _HandAngles(low, high, angle)
+        return _WristAngles(low, high, angle)
 
 
 def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
@@ -838,31 +842,31 @@ def _turning_speed(turn_map: TurnMap, b: int, steps: Ints) -> Array:
     return np.asarray(np.abs(steps) * turn_map.step / time)
 
 
-def _is_bad_between(bad: Bools, places: Array) -> Bools:
+def _crosses_forbidden(is_forbidden: Bools, columns: Array) -> Bools:
     """Return True for crossings (J, D) of a bin that touch refused columns.
 
-    :param bad: (J,) True for refused columns of the bin.
-    :param places: (2, J, D) column at the start and at the end of the bin, which may be beyond the map by less than its
-        size.
+    :param is_forbidden: (J,) True for refused columns of the bin.
+    :param columns: (2, J, D) position at the start and at the end of the bin, in columns; it need not be whole, and may
+        be beyond the map by less than its size.
     """
     # three copies of the map, as crossings may be beyond it to both sides; differences of the running sum are counts
-    bad_count = np.concatenate([[0], np.cumsum(np.tile(bad, 3))])
-    low_place, high_place = np.sort(places, axis=0)
-    first = np.floor(low_place + _COLUMN_TOLERANCE).astype(np.int64)
-    last = np.ceil(high_place - _COLUMN_TOLERANCE).astype(np.int64)
-    return np.asarray(bad_count[last + len(bad) + 1] > bad_count[first + len(bad)])
+    forbidden_count = np.concatenate([[0], np.cumsum(np.tile(is_forbidden, 3))])
+    lowest, highest = np.sort(columns, axis=0)
+    first = np.floor(lowest + _COLUMN_TOLERANCE).astype(np.int64)
+    last = np.ceil(highest - _COLUMN_TOLERANCE).astype(np.int64)
+    return np.asarray(forbidden_count[last + len(is_forbidden) + 1] > forbidden_count[first + len(is_forbidden)])
 
 
-def _nearest_columns(place: Array, count: int) -> Ints:
-    """Return the columns nearest to places on a circle of `count` columns."""
-    return np.asarray(np.rint(place).astype(np.int64) % count)
+def _nearest_columns(position: Array, count: int) -> Ints:
+    """Return the columns nearest to positions, which need not be whole, on a circle of `count` columns."""
+    return np.asarray(np.rint(position).astype(np.int64) % count)
 
 
 _COLUMN_TOLERANCE = 1e-9
-"""Places that are this near to a column [columns] are on it, but for rounding."""
+"""Positions that are this near to a column [columns] are on it, but for rounding."""
 
 
-def _trace_line(turn_map: TurnMap, cost: Array, origins: Sequence[_Origins]) -> Line:
+def _line_to_cheapest_state(turn_map: TurnMap, cost: Array, origins: Sequence[_Origins]) -> Line:
     """Return the line that ends in the state that costs least.
 
     It is followed back from the last block to the first, then its turns are summed forwards.

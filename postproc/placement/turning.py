@@ -31,7 +31,7 @@ from postproc.under_load import RobotInCell
 
 Mode = Literal["best", "path"]
 _COARSE_STEP = 5.0 * RAD_PER_DEG
-"""Step of the turns in the first map, of the whole circle; `_FINE_OFFSETS` covers a step to both sides (assumed)."""
+"""Step of the turns in the coarse map, of the whole circle; `_FINE_OFFSETS` covers a step to both sides (assumed)."""
 _TURN_TOLERANCE = 1e-6
 """Turns [rad] and lengths [m] below this are zero, but for rounding."""
 _TILT_PROBLEM = (
@@ -52,7 +52,7 @@ _ROUNDS = 8
 _MAX_ROWS = 8
 """Largest number of samples of a bin at which bodies are compared for an error message."""
 _FINE_OFFSETS = np.arange(-6.0, 7.0) * RAD_PER_DEG
-"""Offsets of turns in the second map [rad]: a step of the first map to both sides, and 1° more."""
+"""Offsets of turns in the fine map around a line [rad]: a step of the coarse map to both sides, and 1° more."""
 _NO_OFFSET = np.zeros(1)
 """Offset of a map of one turn."""
 _MAX_SAMPLES = 4000
@@ -164,39 +164,39 @@ def choose_turn(
     branch = turn_map.branch_of_start(samples)
     table = robot_in_cell.cell.collision
     bodies = None if table is None else Bodies(samples, table.clearance_mm)
-    whole = turn_map.evaluate(
+    coarse_map = turn_map.evaluate(
         samples, blocks, branch, np.zeros(len(samples)), turn_map.turns_of_circle(_COARSE_STEP), bodies
     )
-    block: BlockedMap | None = None
-    wide_margins = LeastMargins() if mode == "best" else _margins_of_least_cost(samples, whole, branch)
+    blocked_map: BlockedMap | None = None
+    wide_margins = LeastMargins() if mode == "best" else _margins_of_least_cost(samples, coarse_map, branch)
     for keep in (wide_margins, BARE_MARGINS):
-        line, whole = _free_line(samples, whole, branch, keep, mode, bodies)
+        line, coarse_map = _free_line(samples, coarse_map, branch, keep, mode, bodies)
         if isinstance(line, BlockedMap):  # of two blocked maps, the one whose lines lead farther is reported
-            block = block if block is not None and block.block > line.block else line
+            blocked_map = blocked_map if blocked_map is not None and blocked_map.block > line.block else line
             continue
-        if keep is not BARE_MARGINS and _today_is_as_good(samples, whole, branch, keep, line, bodies):
+        if keep is not BARE_MARGINS and _today_is_as_good(samples, coarse_map, branch, keep, line, bodies):
             line = Line(np.zeros(len(line.knots)), line.cost)
         of_motion = blocks.turn_of_motions(samples, line.knots)
         constant = robot_in_cell.cell.gcode.redundancy_deg * RAD_PER_DEG
         turn = Turn(
-            mode, whole, BARE_MARGINS if keep is BARE_MARGINS else LeastMargins(), constant, line.knots, of_motion
+            mode, coarse_map, BARE_MARGINS if keep is BARE_MARGINS else LeastMargins(), constant, line.knots, of_motion
         )
         return turn, (_turn_issue(turn),)
-    assert block is not None
-    return None, (_blocked_error(samples, whole, block, mode, branch, bodies),)
+    assert blocked_map is not None
+    return None, (_blocked_error(samples, coarse_map, blocked_map, mode, branch, bodies),)
 
 
-def _margins_of_least_cost(samples: PathSamples, whole: TurnMap, branch: int) -> LeastMargins:
+def _margins_of_least_cost(samples: PathSamples, coarse_map: TurnMap, branch: int) -> LeastMargins:
     """Return the margins with which a turn along the path costs least: its expected error and the price of its margin.
 
     The least margins are returned if no line keeps any of the tried margins.
     """
     best, least_cost = LeastMargins(), np.inf
     for keep in (LeastMargins(), *(LeastMargins(level, level, level) for level in _MARGIN_LEVELS)):
-        line = _cheapest_line(samples, whole, keep, "path", is_circle=True)
+        line = _cheapest_line(samples, coarse_map, keep, "path", is_circle=True)
         if isinstance(line, BlockedMap):
             continue
-        error, margin = _error_and_margin(samples, whole.blocks, branch, line)
+        error, margin = _error_and_margin(samples, coarse_map.blocks, branch, line)
         price = _MARGIN_PRICE * float(np.exp(-margin / _MARGIN_SCALE))
         if error + price < least_cost:
             best, least_cost = keep, error + price
@@ -220,7 +220,7 @@ def _error_and_margin(samples: PathSamples, blocks: Blocks, branch: int, line: L
 
 
 def _free_line(
-    samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, mode: Mode, bodies: Bodies | None
+    samples: PathSamples, coarse_map: TurnMap, branch: int, keep: LeastMargins, mode: Mode, bodies: Bodies | None
 ) -> tuple[Line | BlockedMap, TurnMap]:
     """Return the cheapest line without collisions, and the map with cells closed where lines had collisions.
 
@@ -234,22 +234,22 @@ def _free_line(
     :returns: the line, or the block that no line passes; and the map with the closed cells.
     """
     for _ in range(_ROUNDS):
-        line = _cheapest_line(samples, whole, keep, mode, is_circle=True)
+        line = _cheapest_line(samples, coarse_map, keep, mode, is_circle=True)
         if isinstance(line, BlockedMap):
-            return line, whole
-        fine = _refine_line(samples, whole.blocks, branch, line, keep=keep, mode=mode, bodies=bodies)
+            return line, coarse_map
+        fine = _refine_line(samples, coarse_map.blocks, branch, line, keep=keep, mode=mode, bodies=bodies)
         if bodies is None:
-            return line if fine is None else fine, whole
+            return line if fine is None else fine, coarse_map
         for candidate in (line,) if fine is None else (fine, line):
-            is_hit = _is_hit(samples, whole.blocks, branch, candidate, bodies)
+            is_hit = _is_hit(samples, coarse_map.blocks, branch, candidate, bodies)
             if not is_hit.any():
-                return candidate, whole
-            whole = _close_cells(samples, whole, candidate, is_hit)
-    return line, whole
+                return candidate, coarse_map
+            coarse_map = _close_cells(samples, coarse_map, candidate, is_hit)
+    return line, coarse_map
 
 
 def _today_is_as_good(
-    samples: PathSamples, whole: TurnMap, branch: int, keep: LeastMargins, line: Line, bodies: Bodies | None
+    samples: PathSamples, coarse_map: TurnMap, branch: int, keep: LeastMargins, line: Line, bodies: Bodies | None
 ) -> bool:
     """Return whether the turn of the cell keeps the margins everywhere, and a line saves too little to change it.
 
@@ -260,10 +260,10 @@ def _today_is_as_good(
     :param bodies: bodies that are compared; None: collisions are not checked.
     """
     no_turn = np.zeros(len(samples))
-    at_line = _sample_turns(samples, whole.blocks, line.knots)
-    weight = whole.blocks.cut_length
+    at_line = _sample_turns(samples, coarse_map.blocks, line.knots)
+    weight = coarse_map.blocks.cut_length
     today, best = (
-        turn_map.evaluate(samples, whole.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
+        turn_map.evaluate(samples, coarse_map.blocks, branch, base, _NO_OFFSET, None).error[:, 0]
         for base in (no_turn, at_line)
     )
     if not np.sqrt(weight @ today**2) <= (1.0 + drive.LEAST_SAVING) * np.sqrt(
@@ -271,12 +271,12 @@ def _today_is_as_good(
     ):  # also where an error is NaN
         return False
     # every other turn is closed, so that only the line of the cell is left
-    other_turns = np.broadcast_to(np.abs(wrap_angles(whole.offset)) > _TURN_TOLERANCE, whole.u95.shape)
-    hit = other_turns if whole.hit is None else whole.hit | other_turns
-    cell_line = _cheapest_line(samples, replace(whole, hit=hit), keep, "best", is_circle=True)
+    other_turns = np.broadcast_to(np.abs(wrap_angles(coarse_map.offset)) > _TURN_TOLERANCE, coarse_map.u95.shape)
+    hit = other_turns if coarse_map.hit is None else coarse_map.hit | other_turns
+    cell_line = _cheapest_line(samples, replace(coarse_map, hit=hit), keep, "best", is_circle=True)
     if isinstance(cell_line, BlockedMap):
         return False
-    return bodies is None or not _is_hit(samples, whole.blocks, branch, cell_line, bodies).any()
+    return bodies is None or not _is_hit(samples, coarse_map.blocks, branch, cell_line, bodies).any()
 
 
 def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
@@ -292,23 +292,24 @@ def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodie
     is_axis_target = np.isfinite(joints[:, 0])
     q[is_axis_target] = joints[is_axis_target]
     q = np.concatenate([robot_in_cell.cell.start_joints[None], q])
-    return bodies.is_hit_along_path(q, np.append(0, rows), np.zeros(len(q), dtype=bool))[1:]
+    # at [start] the robot has the tool of sample 0; the result for [start] itself is left out
+    return bodies.is_hit_along_path(q, np.append(0, rows), breaks=np.zeros(len(q), dtype=bool))[1:]
 
 
-def _close_cells(samples: PathSamples, whole: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
-    """Return the map with the two cells next to a line closed where it has collisions.
+def _close_cells(samples: PathSamples, coarse_map: TurnMap, line: Line, is_hit: Bools) -> TurnMap:
+    """Return the map with the two cells next to a line closed where it has collisions: no line may pass them then.
 
     :param is_hit: (N,) True for samples of the line with collisions.
     """
-    turn = _sample_turns(samples, whole.blocks, line.knots)
+    turn = _sample_turns(samples, coarse_map.blocks, line.knots)
     rows = np.flatnonzero(is_hit)
-    bins = np.searchsorted(whole.blocks.first, rows, side="right") - 1  # `first` are the first samples of bins
-    place = (turn[rows] - whole.offset[0]) / whole.step  # in columns of the map, which is a circle
-    assert whole.hit is not None
-    hit = whole.hit.copy()
-    for column in (np.floor(place), np.ceil(place)):
-        hit[bins, column.astype(np.int64) % len(whole.offset)] = True
-    return replace(whole, hit=hit)
+    bins = np.searchsorted(coarse_map.blocks.first, rows, side="right") - 1  # `first` are the first samples of bins
+    position = (turn[rows] - coarse_map.offset[0]) / coarse_map.step  # in columns of the map, which is a circle
+    assert coarse_map.hit is not None
+    hit = coarse_map.hit.copy()
+    for column in (np.floor(position), np.ceil(position)):
+        hit[bins, column.astype(np.int64) % len(coarse_map.offset)] = True
+    return replace(coarse_map, hit=hit)
 
 
 def _tilting_motions(samples: PathSamples) -> Bools:
@@ -320,7 +321,7 @@ def _tilting_motions(samples: PathSamples) -> Bools:
 
 
 def _cheapest_line(
-    samples: PathSamples, whole: TurnMap, keep: LeastMargins, mode: Mode, *, is_circle: bool
+    samples: PathSamples, path_map: TurnMap, keep: LeastMargins, mode: Mode, *, is_circle: bool
 ) -> Line | BlockedMap:
     """Return the cheapest line through a map, or the block that no line passes.
 
@@ -328,7 +329,7 @@ def _cheapest_line(
     :param is_circle: whether the map is a whole circle of turns.
     """
     robot, start = samples.robot_in_cell.robot, samples.robot_in_cell.cell.start_joints
-    return turn_map.line_through(robot, whole, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
+    return turn_map.line_through(robot, path_map, keep, start, turn_at_feed=mode == "path", is_circle=is_circle)
 
 
 def _refine_line(
@@ -376,7 +377,7 @@ def _turn_issue(turn: Turn) -> Issue:
 
 
 def _blocked_error(
-    samples: PathSamples, whole: TurnMap, block: BlockedMap, mode: Mode, branch: int, bodies: Bodies | None
+    samples: PathSamples, coarse_map: TurnMap, blocked_map: BlockedMap, mode: Mode, branch: int, bodies: Bodies | None
 ) -> Issue:
     """Return the error that names the motion that no line passes, the reasons there, and bodies that are too close.
 
@@ -385,10 +386,10 @@ def _blocked_error(
     :param branch: branch of the inverse kinematics.
     :param bodies: bodies that were compared; None without [collision].
     """
-    blocks = whole.blocks
-    rows = np.flatnonzero(blocks.block == block.block)
-    reasons = whole.reasons(BARE_MARGINS)[rows]
-    is_closed = (reasons != drive.FREE).all(axis=1)
+    blocks = coarse_map.blocks
+    rows = np.flatnonzero(blocks.block == blocked_map.block)  # bins of the block
+    reasons = coarse_map.reasons(BARE_MARGINS)[rows]
+    is_closed = (reasons != drive.FREE).all(axis=1)  # bins without a free turn
     row = int(np.argmax(is_closed)) if is_closed.any() else len(rows) - 1  # in `rows`
     counts = np.bincount(reasons[row], minlength=len(REASONS))
     turn_count = reasons.shape[1]
@@ -400,7 +401,7 @@ def _blocked_error(
     motion = np.array([int(samples.sample.motion[blocks.first[rows[row]]])])
     if bodies is not None and counts[drive.COLLISION]:  # collision is the last of the reasons, so the last part
         columns = np.flatnonzero(reasons[row] == drive.COLLISION)
-        parts[-1] += f": {_closest_bodies(samples, whole, int(rows[row]), columns, branch, bodies)}"
+        parts[-1] += f": {_closest_bodies(samples, coarse_map, int(rows[row]), columns, branch, bodies)}"
     reason_text = f" ({', '.join(parts)} here)" if parts else ""
     if is_closed.any():
         problem = (
@@ -419,21 +420,25 @@ def _blocked_error(
     return samples.program.motions.issue("error", "redundancy", problem, motion)
 
 
-def _closest_bodies(samples: PathSamples, whole: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies) -> str:
-    """Return in words which two bodies are closest in a bin of the map, with the turn that keeps them farthest apart.
+def _closest_bodies(
+    samples: PathSamples, coarse_map: TurnMap, row: int, columns: Ints, branch: int, bodies: Bodies
+) -> str:
+    """Return in words which two bodies are closest in a bin of the map, a short stretch of the path.
 
-    :param whole: the map.
-    :param row: the bin.
+    Of the turns of the tool about its axis, the one that keeps the bodies farthest apart is taken.
+
+    :param row: the bin, a row of the map.
     :param columns: (c,) columns of the map: the turns that are compared.
     :param branch: 0…7, the branch of the inverse kinematics.
     """
-    first = whole.blocks.first
+    first = coarse_map.blocks.first  # sample of the path at which each bin begins
     stop = int(first[row + 1]) if row + 1 < len(first) else len(samples)
     sample_rows = distinct(np.linspace(first[row], stop - 1, _MAX_ROWS).astype(np.int64))
     rows, column = (values.ravel() for values in np.meshgrid(sample_rows, columns, indexing="ij"))
-    turn = whole.base[rows] + whole.offset[column]
-    flange = components(samples.flange(rows, turn))
-    clearance = bodies.clearance(drive.solve(samples.robot_in_cell.robot, flange, branch).T, rows)
+    turn = coarse_map.base[rows] + coarse_map.offset[column]  # [rad]
+    flange = components(samples.flange(rows, turn))  # (3, 4, n), as `solve` takes frames
+    q = drive.solve(samples.robot_in_cell.robot, flange, branch).T  # (n, 6)
+    clearance = bodies.clearance(q, rows)
     distance = clearance.distance.reshape(len(sample_rows), len(columns))
     best_column = int(distance.min(axis=0).argmax())
     k = int(distance[:, best_column].argmin()) * len(columns) + best_column  # the same pose in the flat arrays
@@ -448,7 +453,7 @@ def bin_turns(turn: Turn) -> Array:
     """Return the chosen turn (K,) at the end of each bin of the map, without `constant` [rad]."""
     blocks = turn.map.blocks
     start_turn = np.append(turn.knots[0], turn.knots[:-1])
-    start_turn = np.where(blocks.begins, turn.knots, start_turn)[blocks.block]
+    start_turn = np.where(blocks.is_start, turn.knots, start_turn)[blocks.block]
     return np.asarray(start_turn + blocks.share * (turn.knots[blocks.block] - start_turn))
 
 
@@ -491,11 +496,11 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     q = branches.start_path(best)
     if q is None:
         raise _first_target_error(program, _NO_BRANCH_TEXT, "Move the part, or give [start] joints.")
-    if not np.isfinite(branches.margin[best]):
+    if not np.isfinite(branches.least_margin[best]):
         return _chosen_start(q[:, 0], "on the branch that reaches most of the program")
     # the turn along the path is still to be chosen: whole turns of A4 and A6 with this turn are of no use
     joints = q[:, 0] if turn_is_free else _unwind(robot_in_cell, q)
-    return _chosen_start(joints, _branch_reason(best, second, branches.margin, branches.is_free))
+    return _chosen_start(joints, _branch_reason(best, second, branches.least_margin, branches.is_free))
 
 
 class _Branches(Struct, frozen=True, eq=False):
@@ -503,14 +508,14 @@ class _Branches(Struct, frozen=True, eq=False):
 
     :param joint_paths: by branch, then by turn of the tool: joint angles (6, n) [rad].
     :param margins: (8, turns, n) margins of each sample [rad], see `_smallest_margins`.
-    :param margin: (8,) least margin of each branch along the samples, each sample at its best turn [rad]; −inf if a
-        sample cannot be driven.
+    :param least_margin: (8,) least margin of each branch along the samples, each sample at its best turn [rad]; −inf if
+        a sample cannot be driven.
     :param is_free: (8,) whether a branch is without collision, see `_collision_free_branches`.
     """
 
     joint_paths: list[list[Array]]
     margins: Array
-    margin: Array
+    least_margin: Array
     is_free: list[bool]
 
     @classmethod
@@ -522,9 +527,10 @@ class _Branches(Struct, frozen=True, eq=False):
         """
         joint_paths = [[_solve(samples, rows, turn, branch) for turn in turns] for branch in range(_BRANCHES)]
         margins = np.array([[_smallest_margins(samples.robot_in_cell, q) for q in paths] for paths in joint_paths])
-        can_start = np.isfinite(margins[:, :, 0].max(axis=1))
-        margin = np.where(can_start, margins.max(axis=1).min(axis=1), -np.inf)
-        return cls(joint_paths, margins, margin, _collision_free_branches(samples, rows, joint_paths, margin))
+        can_start = np.isfinite(margins[:, :, 0].max(axis=1))  # the first target is reached with some turn
+        least_margin = np.where(can_start, margins.max(axis=1).min(axis=1), -np.inf)
+        is_free = _collision_free_branches(samples, rows, joint_paths, least_margin)
+        return cls(joint_paths, margins, least_margin, is_free)
 
     @property
     def order(self) -> list[int]:
@@ -533,10 +539,10 @@ class _Branches(Struct, frozen=True, eq=False):
         Of equal branches, the one with A4 and A6 nearest to zero at the start comes first.
         """
         reach_count = np.isfinite(self.margins.max(axis=1)).sum(axis=1)
-        hand_angle = [np.abs(np.nan_to_num(paths[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for paths in self.joint_paths]
+        wrist_turn = [np.abs(np.nan_to_num(paths[0][[3, 5], 0], nan=_LARGE_ANGLE)).sum() for paths in self.joint_paths]
         return sorted(
             range(_BRANCHES),
-            key=lambda k: (self.is_free[k], round(float(self.margin[k]), 6), reach_count[k], -hand_angle[k]),
+            key=lambda k: (self.is_free[k], round(float(self.least_margin[k]), 6), reach_count[k], -wrist_turn[k]),
             reverse=True,
         )
 
@@ -592,7 +598,7 @@ def _branch_reason(best: int, second: int, margin: Array, free: list[bool]) -> s
 
 
 def _collision_free_branches(
-    samples: PathSamples, rows: Ints, joint_paths: list[list[Array]], worst: Array
+    samples: PathSamples, rows: Ints, joint_paths: list[list[Array]], least_margin: Array
 ) -> list[bool]:
     """Return for each branch whether at each of some samples a turn of the tool is without collision.
 
@@ -601,15 +607,15 @@ def _collision_free_branches(
 
     :param rows: (n,) the samples.
     :param joint_paths: by branch, then by turn of the tool: joint angles (6, n) [rad].
-    :param worst: (8,) least margin of each branch [rad]; −inf if it cannot follow the path.
+    :param least_margin: (8,) least margin of each branch [rad]; −inf if it cannot follow the path.
     """
     table = samples.robot_in_cell.cell.collision
-    possible_branches = [k for k in range(_BRANCHES) if np.isfinite(worst[k])]
+    possible_branches = [k for k in range(_BRANCHES) if np.isfinite(least_margin[k])]
     if table is None or len(possible_branches) < 2:
         return [True] * _BRANCHES
     bodies = Bodies(samples, table.clearance_mm)
     compared_rows = distinct(np.linspace(0, len(rows) - 1, min(_MAX_POSES, len(rows))).astype(np.int64))
-    breaks = np.ones(len(compared_rows), dtype=bool)
+    breaks = np.ones(len(compared_rows), dtype=bool)  # far samples are no path: each is compared by itself
     is_free = [False] * _BRANCHES
     for k in possible_branches:
         hits = [

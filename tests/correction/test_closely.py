@@ -185,7 +185,7 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
         elif near == 6:
             q[:, 4] -= q[random.integers(len(q)), 4]
         elif near == 7:
-            q[:, 2] -= float(form.angle_from_stretched(q)[random.integers(len(q))])
+            q[:, 2] -= float(form.elbow_angle_from_stretched(q)[random.integers(len(q))])
         elif near in (8, 9):
             q[:, 1:3] += np.radians([-70.0, -67.86]) + random.normal(size=2) * 0.01 - q[random.integers(len(q)), 1:3]
         speed = ROBOT.speed * random.uniform(0.0, 0.8 if seed % 3 == 0 else 0.7, (len(path), 6))
@@ -198,7 +198,7 @@ def test_arcs_and_pieces_of_lines_are_examined_where_joints_limits_and_singulari
 
         states = [cell.start_joints, *q]
         wrist, ahead, elbow = ([float(of(np.array([x]))[0]) for x in states] for of in (
-            lambda x: x[:, 4], form.wrist_distance_ahead, form.angle_from_stretched))  # fmt: skip
+            lambda x: x[:, 4], form.wrist_distance_ahead_of_a1, form.elbow_angle_from_stretched))  # fmt: skip
         room = [[*np.minimum(x - ROBOT.lower, ROBOT.upper - x), abs(a), abs(b), abs(c)]
                 for x, a, b, c in zip(states, wrist, ahead, elbow, strict=True)]  # fmt: skip
         step = [[*np.abs(states[n + 1] - states[n]), *(abs(of[n + 1] - of[n]) for of in (wrist, ahead, elbow))]

@@ -37,7 +37,7 @@ def test_samples_are_at_most_twenty_millimetres_apart_and_have_the_time_of_their
     times = np.repeat(LENGTHS / counts / FEEDS, counts)
     np.testing.assert_allclose(samples.time, [np.inf, *np.where(times > 0.0, times, np.inf)], rtol=1e-9)
     assert samples.travel[1:].sum() == pytest.approx(LENGTHS.sum())
-    np.testing.assert_array_equal(samples.cuts, [False, *np.repeat(np.isfinite(FEEDS), counts)])
+    np.testing.assert_array_equal(samples.is_at_feed, [False, *np.repeat(np.isfinite(FEEDS), counts)])
 
 
 def test_blocks_are_motions_or_runs_of_ten_millimetres(path):
@@ -61,15 +61,15 @@ def test_blocks_are_motions_or_runs_of_ten_millimetres(path):
     np.testing.assert_allclose(blocks.length, np.bincount(of_block, LENGTHS), atol=1e-12)
     times = np.where(np.isfinite(FEEDS), LENGTHS / FEEDS, 0.0)
     np.testing.assert_allclose(blocks.time, np.bincount(of_block, times), rtol=1e-9)
-    assert blocks.begins.tolist() == [True, *[False] * (len(blocks.length) - 1)]
+    assert blocks.is_start.tolist() == [True, *[False] * (len(blocks.length) - 1)]
     is_cut = np.bincount(of_block, np.isfinite(FEEDS)) > 0
-    np.testing.assert_array_equal(blocks.cuts, is_cut)
+    np.testing.assert_array_equal(blocks.is_at_feed, is_cut)
 
 
 def test_bins_have_the_length_of_their_cuts(path):
     samples, blocks = path
     ends = [*blocks.first[1:], len(samples)]
-    travel = np.where(samples.cuts, samples.segments.length[samples.sample.motion], 0.0)
+    travel = np.where(samples.is_at_feed, samples.segments.length[samples.sample.motion], 0.0)
     step = np.where(
         np.diff(samples.sample.motion, prepend=-1) != 0, samples.sample.t, np.diff(samples.sample.t, prepend=0)
     )
@@ -112,7 +112,7 @@ def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
     samples, blocks = path
     knots = np.random.default_rng(2).uniform(-1.0, 1.0, len(blocks.length))
     at_motion = np.append(0.0, np.cumsum(LENGTHS))
-    begins = np.where(blocks.begins, knots, np.append(knots[0], knots[:-1]))
+    begins = np.where(blocks.is_start, knots, np.append(knots[0], knots[:-1]))
     of_motion, at_samples = blocks.turn_of_motions(samples, knots), turning._sample_turns(samples, blocks, knots)
     for k in range(1, len(LENGTHS) + 1):
         block = int(np.searchsorted(blocks.motion, k))
@@ -120,7 +120,7 @@ def test_the_turn_changes_in_proportion_to_the_path_of_each_block(path):
         share = 1.0 - (total - at_motion[k]) / blocks.length[block]
         expected = begins[block] + share * (knots[block] - begins[block])
         assert of_motion[k] == pytest.approx(expected, abs=1e-9)
-        previous = expected if k == 1 and blocks.begins[block] else of_motion[k - 1]
+        previous = expected if k == 1 and blocks.is_start[block] else of_motion[k - 1]
         rows = samples.sample.motion == k
         t = samples.sample.t[rows]
         np.testing.assert_allclose(at_samples[rows], previous + t * (expected - previous), atol=1e-9)
@@ -166,10 +166,10 @@ def test_joint_interpolations_are_blocks_of_their_own_without_length(path):
     samples = PathSamples.of(program, RobotInCell.of(model, own), None)
     blocks = Blocks.of(samples)
     assert blocks.motion.tolist() == [0, 2, 3, 4, 6]
-    assert blocks.begins.tolist() == [True, False, True, True, False]
+    assert blocks.is_start.tolist() == [True, False, True, True, False]
     np.testing.assert_allclose(blocks.length, [0.0, 0.008, 0.0, 0.0, 0.030], atol=1e-9)
     np.testing.assert_allclose(blocks.time, [0.0, 0.16, 0.0, 0.0, 0.6], atol=1e-9)
-    assert blocks.cuts.tolist() == [False, True, False, False, True]
+    assert blocks.is_at_feed.tolist() == [False, True, False, False, True]
     assert np.isinf(samples.time[samples.program.motions.kind[samples.sample.motion] == 2]).all()
     knots = np.array([0.1, 0.3, -0.5, 0.7, 0.2])
     turn = blocks.turn_of_motions(samples, knots)

@@ -309,7 +309,7 @@ def test_the_turn_of_the_cell_is_as_good_within_two_percent_where_it_can_be_driv
     knots = rng.uniform(-1.0, 1.0, len(blocks.length))
     at_line = turning._sample_turns(samples, blocks, knots)
     best = rng.uniform(1e-4, 2e-4, len(blocks.first))
-    is_cut = blocks.cuts[blocks.block]
+    is_cut = blocks.is_at_feed[blocks.block]
     # the same sum of squares, times the gain, elsewhere along the path
     lengths = blocks.cut_length
     level = np.sqrt(sum(n * e**2 for n, e in zip(lengths, best, strict=True)) / lengths.sum())

@@ -98,7 +98,7 @@ def test_margins_are_those_of_the_documentation_and_the_least_ones_just_what_a_c
 
 def test_the_largest_share_of_a_joint_speed_counts():
     step = np.array([[0.2, 0.0], [-0.9, 0.0], [0.1, 0.0], [0.0, -0.3], [0.0, 0.1], [0.0, 0.0]])
-    share = drive.timed_speed(ROBOT, step, np.array([0.5, np.inf]))
+    share = drive.largest_speed_share(ROBOT, step, np.array([0.5, np.inf]))
     assert share[0] == pytest.approx(max(0.2 / ROBOT.speed[0], 0.9 / ROBOT.speed[1]) / 0.5)
     assert share[1] == 0.0
-    assert drive.timed_speed(ROBOT, step, np.array([0.5, 2.0]))[1] == pytest.approx(0.3 / ROBOT.speed[3] / 2.0)
+    assert drive.largest_speed_share(ROBOT, step, np.array([0.5, 2.0]))[1] == pytest.approx(0.3 / ROBOT.speed[3] / 2.0)

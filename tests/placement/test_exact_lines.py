@@ -101,9 +101,9 @@ class Count:
         """Changes of the column on a block: 3°/mm on rapids, 1°/mm and 30°/s on cuts, 60° a bin, 170°."""
         blocks = self.turns.blocks
         millimetres = 1e3 * blocks.length[b]
-        if blocks.cuts[b] and not self.at_feed:
+        if blocks.is_at_feed[b] and not self.at_feed:
             return [0]
-        degrees = min(millimetres, 30.0 * blocks.time[b]) if blocks.cuts[b] else 3.0 * millimetres
+        degrees = min(millimetres, 30.0 * blocks.time[b]) if blocks.is_at_feed[b] else 3.0 * millimetres
         limit = np.radians(min(degrees, 60.0 * len(bins), 170.0))
         moved = self.base_change(bins)
         steps = range(1 - self.count, self.count)
@@ -131,7 +131,7 @@ class Count:
                     here, there = (round(source + change * share) % self.count for share in (begin, end))
                     middle = round(source + change * 0.5 * (begin + end)) % self.count
                     value += self.cell(k, middle, 5e-5 * share_of_fastest)
-                    if blocks.cuts[b] and len(changes) > 1:
+                    if blocks.is_at_feed[b] and len(changes) > 1:
                         fastest = abs(change) * self.step / blocks.time[b]
                         is_free = is_free and turns.speed[k, there] + turns.rate[k, there] * fastest <= 1.0
                     winding = turns.winding[k, here]
@@ -149,7 +149,7 @@ class Count:
         blocks = self.turns.blocks
         for b in range(len(blocks.length)):
             bins = np.flatnonzero(blocks.block == b)
-            following = self.begun(states, bins) if blocks.begins[b] else self.advanced(states, b, bins)
+            following = self.begun(states, bins) if blocks.is_start[b] else self.advanced(states, b, bins)
             cheapest: dict[tuple, tuple] = {}
             for state in following:
                 key = (state[1], *np.round(state[2], 6))

@@ -393,7 +393,7 @@ def test_stations_know_the_sample_before_them_and_how_far_e1_carries_the_robot()
         for i in [*group.before, *group.row]
     ]
     np.testing.assert_allclose(group.shift, np.outer(e1, [0.0, 1.0, 0.0]), atol=1e-12)
-    assert group.cuts.tolist() == [not samples.program.motions.rapid[k] for k in motion]
+    assert group.is_at_feed.tolist() == [not samples.program.motions.rapid[k] for k in motion]
 
 
 @pytest.mark.parametrize("change", [0.9e-6, 1.1e-6])

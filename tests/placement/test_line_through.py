@@ -65,7 +65,7 @@ def test_a_line_never_winds_a6_past_its_limits():
 
 def test_one_turn_for_each_operation_changes_on_rapid_moves_alone():
     found = made(3, blocks=5, closed=0.0)
-    blocks = replace(found.blocks, cuts=np.array([False, True, False, True, True]))
+    blocks = replace(found.blocks, is_at_feed=np.array([False, True, False, True, True]))
     found = replace(found, blocks=blocks)
     line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=False, is_circle=True)
     assert line.knots[0] == pytest.approx(line.knots[1])
@@ -96,7 +96,7 @@ def test_of_two_turns_the_one_with_the_smaller_sum_of_squared_errors_is_taken(st
 def test_on_rapid_moves_the_turn_changes_by_three_degrees_per_millimetre_at_most(length, driven):
     found = opened(made(5, blocks=4), (5,), (5,), (5, 6), (6,))
     cuts = np.array([False, True, False, True])
-    blocks = replace(found.blocks, cuts=cuts, length=np.where(cuts, 0.1, 1e-3 * length))
+    blocks = replace(found.blocks, is_at_feed=cuts, length=np.where(cuts, 0.1, 1e-3 * length))
     line = line_through(
         ROBOT, replace(found, blocks=blocks), LeastMargins(), np.zeros(6), turn_at_feed=False, is_circle=True
     )
@@ -139,7 +139,7 @@ def test_a4_and_a6_are_counted_on_through_a_joint_interpolation(axis, last, driv
     q[..., axis] = angles[:, None]
     for block, way in ((1, 170.0), (3, last + 160.0)):
         winding[block, :, [3, 5].index(axis), 0] = winding[block, :, [3, 5].index(axis), 2] = np.radians(way)
-    blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
+    blocks = replace(found.blocks, is_start=np.array([True, False, True, False]))
     found = replace(found, q=q, winding=winding, blocks=blocks)
     line = line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True)
     assert isinstance(line, BlockedMap) != driven
@@ -151,7 +151,7 @@ def test_a_joint_interpolation_may_lead_to_any_turn():
     assert isinstance(
         line_through(ROBOT, found, LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True), BlockedMap
     )
-    blocks = replace(found.blocks, begins=np.array([True, False, True, False]))
+    blocks = replace(found.blocks, is_start=np.array([True, False, True, False]))
     line = line_through(
         ROBOT, replace(found, blocks=blocks), LeastMargins(), np.zeros(6), turn_at_feed=True, is_circle=True
     )

@@ -20,7 +20,7 @@ def test_a_way_through_a_bin_is_bad_if_a_column_that_it_touches_is():
     begin, end = rng.integers(-8, 16, (2, 200, 1)) * 0.5, rng.integers(-8, 16, (2, 200, 1)) * 0.5
     for start, stop in zip(begin, end, strict=True):
         rounding = rng.uniform(-1e-12, 1e-12, (2, *start.shape))
-        found = turn_map._is_bad_between(bad, np.stack([start, stop]) + rounding)
+        found = turn_map._crosses_forbidden(bad, np.stack([start, stop]) + rounding)
         for n in range(200):
             low, high = sorted((start[n, 0], stop[n, 0]))
             columns = range(int(np.floor(low)), int(np.ceil(high)) + 1)
@@ -51,7 +51,8 @@ def test_turns_of_a_whole_circle_are_even_and_begin_at_half_a_turn(step, count):
 BLOCKS = Blocks(
     first=np.array([0, 1, 3, 6, 8]), block=np.array([0, 1, 1, 2, 2]), share=np.array([1.0, 0.4, 1.0, 0.5, 1.0]),
     cut_length=np.array([0.0, 0.01, 0.04, 0.0, 0.0]),
-    begins=np.array([True, False, False]), cuts=np.array([False, True, False]), length=np.array([0.0, 0.05, 0.08]),
+    is_start=np.array([True, False, False]), is_at_feed=np.array([False, True, False]),
+    length=np.array([0.0, 0.05, 0.08]),
     time=np.array([0.0, 2.0, 0.0]), motion=np.array([0, 1, 2]),
 )  # fmt: skip
 

@@ -76,7 +76,7 @@ def test_a_place_has_the_margin_and_the_deflection_that_an_arm_of_another_code_f
     for k in range(len(samples)):
         q = arm.inverse(base @ samples.sample.pose[k], tool, q)
         margins.append(np.minimum(q - model.lower, model.upper - q).min())
-        if samples.cuts[k] and k % 7 == 0:
+        if samples.is_at_feed[k] and k % 7 == 0:
             wrench = samples.forces.at(samples.sample.take(np.array([k])))[0]
             turned = np.concatenate([base[:3, :3] @ wrench[:3], base[:3, :3] @ wrench[3:]])
             tip = arm.loaded_tcp(q, tool, turned)

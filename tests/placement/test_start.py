@@ -34,7 +34,7 @@ def margin(result) -> float:
     """Smallest margin of a converted program: of the joints, and of A5 and A3 from singular poses [rad]."""
     form = kinematics.closed_form(result.robot)
     wrist = np.abs((result.q[:, 4] + form.bend + np.pi) % (2 * np.pi) - np.pi)
-    return float(min(result.joint_margin.min(), wrist.min(), np.abs(form.angle_from_stretched(result.q)).min()))
+    return float(min(result.joint_margin.min(), wrist.min(), np.abs(form.elbow_angle_from_stretched(result.q)).min()))
 
 
 @pytest.mark.parametrize("name", ROBOTS)

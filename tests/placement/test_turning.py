@@ -321,7 +321,7 @@ def test_the_turns_that_are_tried_divide_the_circle():
     ],
 )
 def test_a_cut_turns_by_what_its_length_and_its_time_allow_and_no_more(millimetres, seconds, change, limit):
-    blocks = SimpleNamespace(length=[millimetres * 1e-3], time=[seconds], cuts=[True])
+    blocks = SimpleNamespace(length=[millimetres * 1e-3], time=[seconds], is_at_feed=[True])
     base_at_ends = np.append(np.zeros(9), np.radians(change))
     columns = SimpleNamespace(blocks=blocks, offset=np.arange(120), step=np.radians(3.0), base_at_ends=base_at_ends)
     search = turn_map._LineSearch(
@@ -335,7 +335,7 @@ def test_a_rapid_block_takes_no_time_and_a_cut_its_length_over_its_feed():
     own = cell()
     program, model = read_with_robot("G21 G90\nG0 X1300 Y0 Z60\nG1 Z0 F600\nG1 Y90 F1200\nG0 Z60\n", own)
     blocks = turn_map.Blocks.of(PathSamples.of(program, RobotInCell.of(model, own), None))
-    assert not blocks.time[~blocks.cuts].any()
+    assert not blocks.time[~blocks.is_at_feed].any()
     assert blocks.time.sum() == pytest.approx(60.0 / 10.0 + 90.0 / 20.0)
 
 

@@ -777,7 +777,7 @@ def _map_values(tool_turn: Turn) -> tuple[Array, str]:
     """
     error = tool_turn.map.error * MM_PER_M
     if np.nanmax(error, initial=0.0) > _LEAST_COLOURED_ERROR * MM_PER_M:
-        cuts = tool_turn.map.blocks.cuts[tool_turn.map.blocks.block]
+        cuts = tool_turn.map.blocks.is_at_feed[tool_turn.map.blocks.block]
         error = np.where(cuts[:, None], error, np.nan)
         return error, "expected error (95 %), mm" if np.isfinite(tool_turn.map.u95).any() else "deflection, mm"
     margin = tool_turn.map.margin.joint * DEG_PER_RAD
