@@ -58,10 +58,11 @@ class TwistSlopes(NamedTuple):
 class Surfaces(Columns, frozen=True, eq=False):
     """The places where n probed surfaces are made.
 
-    :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it.
-    :param weight: (n, 2, 6) two derivatives of the deviation by the twist of the tool in the root, see `twist_weights`:
-        the smaller deviation counts.
-    :param wall: (n,) 1 for walls, which a larger tool moves into the material, 0 for floors and readings of a gauge.
+    :param motion: (n,) row of `Motions` of their program, and `t` (n,) the place on it: 0 at its start, 1 at its end.
+    :param by_twist: (n, 2, 6) two derivatives of the deviation by the twist of the tool in the root: the smaller of the
+        two deviations remains on the part, see `twist_derivatives`.
+    :param is_wall: (n,) True for walls, which a larger tool moves into the material; False for floors and readings of a
+        gauge.
     :param weight_wrench: (n, 6) wrench of a weight hung on the tool where a gauge reads its displacement, root axes
         [N, N·m]; zero where surfaces are cut.
     :param point: (n, 3) point of the surface, `$BASE` [m].
@@ -69,39 +70,39 @@ class Surfaces(Columns, frozen=True, eq=False):
 
     motion: Ints
     t: Array
-    weight: Array
-    wall: Array
+    by_twist: Array
+    is_wall: Bools
     weight_wrench: Array
     point: Array
 
     def deviation(self, twist: Array) -> tuple[Array, Array]:
         """Return the deviations (n,) [m] for twists of the tool (n, 6), and their derivatives by the twist (n, 6)."""
-        values = np.einsum("nik,nk->ni", self.weight, twist)
-        smaller_column = np.argmin(values, axis=1)
-        rows = np.arange(len(values))
-        return values[rows, smaller_column], self.weight[rows, smaller_column]
+        deviations = np.einsum("nik,nk->ni", self.by_twist, twist)
+        smaller_column = np.argmin(deviations, axis=1)  # what one side of the rim leaves, the other may still cut
+        rows = np.arange(len(deviations))
+        return deviations[rows, smaller_column], self.by_twist[rows, smaller_column]
 
 
 def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSurfaces, radius: float) -> Surfaces:
     """Return the places on the path of a program where its probed surfaces are made.
 
-    :param probe_data: the points of these surfaces.
+    :param probe_data: the points of these surfaces, and readings of a gauge while a weight hangs on the tool.
     :param radius: radius of the tool, a flat end mill [m].
     :raises MeasurementError: a row names no cutting move, or a point that the tool does not make on this move.
     """
-    is_gauge = probe_data.mass > 0.0
+    is_gauge = probe_data.is_gauge
     motion = _motions_of(program, probe_data, is_gauge)
     segments = toolpath.segments(program, robot_in_cell.start_flange)
-    place = toolpath.at(program, segments, motion, probe_data.t)
+    tip_place = toolpath.at(program, segments, motion, probe_data.t)
     travel = toolpath.tangent(program, segments, motion, probe_data.t)
     # the axis of the tool frame that points from the spindle to the tip: its column, and the sign from tip to spindle
     column, sign = {"+Z": (2, -1.0), "-Z": (2, 1.0), "+X": (0, -1.0), "-X": (0, 1.0)}[robot_in_cell.spindle]
-    axis = sign * place.pose[:, :3, column]
-    lever = probe_data.point - place.pose.position
-    height = np.einsum("ni,ni->n", lever, axis)
+    axis = sign * tip_place.pose[:, :3, column]
+    lever = probe_data.point - tip_place.pose.position
+    height = np.einsum("ni,ni->n", lever, axis)  # of the point above the tip, along the tool
     radial = lever - height[:, None] * axis
-    slope = np.einsum("ni,ni->n", probe_data.normal, axis)
-    is_floor, is_wall = slope > _FLOOR_COSINE, np.abs(slope) < _WALL_COSINE
+    cosine = np.einsum("ni,ni->n", probe_data.normal, axis)
+    is_floor, is_wall = cosine > _FLOOR_COSINE, np.abs(cosine) < _WALL_COSINE
     # distance of the point from the end face, or from the line where the cylinder touches the wall
     offset = np.where(is_floor, np.abs(height), norm(radial + radius * probe_data.normal))
     is_possible = (
@@ -111,15 +112,21 @@ def surfaces(program: Program, robot_in_cell: RobotInCell, probe_data: ProbedSur
         & (height >= -_SURFACE_TOLERANCE)
     )
     _check_points(probe_data, is_possible | is_gauge)  # a gauge may be anywhere on the tool
-    weight = twist_weights(probe_data.normal, lever, axis, travel, radius)
+    by_twist = twist_derivatives(probe_data.normal, lever, axis, travel, radius)
     # a gauge reads n·(d + r × lever) = n·d + (lever × n)·r
-    gauge_weight = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)
-    weight[is_gauge] = gauge_weight[is_gauge, None]
+    gauge_by_twist = np.concatenate([probe_data.normal, np.cross(lever, probe_data.normal)], axis=1)
+    by_twist[is_gauge] = gauge_by_twist[is_gauge, None]
     weight_wrench = np.zeros((len(motion), 6))
     weight_wrench[:, 2] = -GRAVITY * probe_data.mass
     rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(motion), 3, 3))
-    wall = (is_wall & ~is_gauge).astype(float)
-    return Surfaces(motion, probe_data.t, rotated_weights(rotation, weight), wall, weight_wrench, probe_data.point)
+    return Surfaces(
+        motion=motion,
+        t=probe_data.t,
+        by_twist=rotated_derivatives(rotation, by_twist),
+        is_wall=np.asarray(is_wall & ~is_gauge),
+        weight_wrench=weight_wrench,
+        point=probe_data.point,
+    )
 
 
 def _check_points(probe_data: ProbedSurfaces, is_possible: Bools) -> None:
@@ -130,11 +137,11 @@ def _check_points(probe_data: ProbedSurfaces, is_possible: Bools) -> None:
     """
     if is_possible.all():
         return
-    k = int(np.argmin(is_possible))
+    first = int(np.argmin(is_possible))
     raise MeasurementError(
-        f"{probe_data.name[k]}: the tool makes no surface with this normal at this point",
+        f"{probe_data.name[first]}: the tool makes no surface with this normal at this point",
         file=probe_data.file,
-        line=int(probe_data.row[k]),
+        line=int(probe_data.row[first]),
         advice="Points are on walls along the axis of a flat end mill, or on the floor below it.",
     )
 
@@ -146,10 +153,10 @@ def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -
         cutting moves.
     :raises MeasurementError: a line has no such move, or several.
     """
-    m = program.motions
+    motions = program.motions
     motion = np.empty(len(probe_data), dtype=np.int64)
     for k, line in enumerate(probe_data.line.tolist()):
-        moves = np.flatnonzero((m.line == line) & (m.rapid == is_gauge[k]))
+        moves = np.flatnonzero((motions.line == line) & (motions.rapid == is_gauge[k]))
         if len(moves) != 1:
             raise MeasurementError(
                 f"line {line} of the program is not one {'rapid' if is_gauge[k] else 'cutting'} move",
@@ -161,7 +168,7 @@ def _motions_of(program: Program, probe_data: ProbedSurfaces, is_gauge: Bools) -
     return motion
 
 
-def twist_weights(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
+def twist_derivatives(normal: Array, lever: Array, axis: Array, travel: Array, radius: float) -> Array:
     """Return two derivatives (n, 2, 6) of the deviation of each surface by the twist of the tool at its tip.
 
     Floor: the rim of a flat end mill passes over a point ahead of the axis and behind it, and the smaller of the two
@@ -184,13 +191,13 @@ def twist_weights(normal: Array, lever: Array, axis: Array, travel: Array, radiu
     return np.concatenate([normals, np.cross(levers, normals)], axis=2)
 
 
-def rotated_weights(rotation: Array, weight: Array) -> Array:
-    """Return derivatives (n, 2, 6) by translation and rotation in other axes.
+def rotated_derivatives(rotation: Array, by_twist: Array) -> Array:
+    """Return derivatives (n, 2, 6) by the twist of the tool (its translation, then its rotation) in other axes.
 
-    :param rotation: (n, 3, 3) matrices by which vectors in the present axes are multiplied.
-    :param weight: (n, 2, 6) derivatives in the present axes.
+    :param rotation: (n, 3, 3) matrices that turn vectors in the present axes into those in the other axes.
+    :param by_twist: (n, 2, 6) derivatives in the present axes.
     """
-    return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, weight.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
+    return np.asarray(np.einsum("nij,nkhj->nkhi", rotation, by_twist.reshape(-1, 2, 2, 3))).reshape(-1, 2, 6)
 
 
 class States(Columns, frozen=True, eq=False):
@@ -232,6 +239,7 @@ class States(Columns, frozen=True, eq=False):
 
         They are differences of equilibria: exact derivatives need Pinocchio, which is not available on Windows.
 
+        :param parameters: p parameters in whose SI values the deflection is linear.
         :param scale: factor of the cutting forces.
         :raises NotConvergedError: the springs have no equilibrium.
         """
@@ -239,7 +247,7 @@ class States(Columns, frozen=True, eq=False):
         by_parameter = np.empty((*twist.shape, len(parameters)))
         for column, parameter in enumerate(parameters):
             value = robot.value(parameter)
-            step = _PARAMETER_STEP * (abs(value) or parameter.usual)
+            step = _PARAMETER_STEP * (abs(value) or parameter.usual)  # a usual value where the robot has zero
             changed_robot = robot.with_values({parameter: value + step})
             by_parameter[:, :, column] = (self.twist(robot_in_cell, changed_robot, scale) - twist) / step
         twist_at_step = self.twist(robot_in_cell, robot, scale + _SCALE_STEP)
@@ -248,7 +256,8 @@ class States(Columns, frozen=True, eq=False):
     def twist_by_lift(self, robot_in_cell: RobotInCell, robot: RobotModel, scale: float, twist: Array) -> Array:
         """Return the derivative (n, 6) of the twist by the lift of the program over the block [1, rad/m].
 
-        It is a difference of equilibria.
+        The lift is the height of the program above the one it is written for: the higher, the less deep the tool cuts.
+        The derivative is a difference of equilibria.
 
         :param scale: factor of the cutting forces.
         :param twist: (n, 6) twist under these forces, from `twist`.
@@ -279,7 +288,7 @@ class Cut(Struct, frozen=True, eq=False):
 
     :param surface_states: the states where probed surfaces are made.
     :param path_states: the states at N samples of the path.
-    :param motion: (N,) row of `Motions` of each sample, and `t` (N,) its place on the motion.
+    :param motion: (N,) row of `Motions` of each sample, and `t` (N,) its place on the motion, 0 … 1.
     :param tip: (N, 3) nominal tip at each sample, `$BASE` [m].
     :param program: the program.
     """
@@ -318,17 +327,20 @@ class Cut(Struct, frozen=True, eq=False):
         return np.broadcast_to(toolpath.base_of(self.program, self.motion)[..., :3, 2], (len(self.motion), 3))
 
 
-def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new_surfaces: Surfaces) -> Cut:
+def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, probed_surfaces: Surfaces) -> Cut:
     """Return a program under the forces of a source.
 
-    :param new_surfaces: surfaces of the program that are probed; their places are samples of the path.
+    :param probed_surfaces: surfaces of the program that are probed; their places are samples of the path.
     :raises MeasurementError: the robot cannot follow the program.
     :raises ForceError: the process cannot be used for this program.
     """
     try:
         motions = MotionsUnderLoad.of(program, robot_in_cell, source)
-        swing_motion, t = motions.swing_places
-        extra_samples = np.concatenate([swing_motion, new_surfaces.motion]), np.concatenate([t, new_surfaces.t])
+        swing_motion, swing_t = motions.swing_places  # where FEED axes swing about the tool axis
+        extra_samples = (
+            np.concatenate([swing_motion, probed_surfaces.motion]),
+            np.concatenate([swing_t, probed_surfaces.t]),
+        )
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False), extra_samples)
     except ImpossiblePathError as cause:
         line = cause.issue.source_line
@@ -342,10 +354,10 @@ def cut(program: Program, robot_in_cell: RobotInCell, source: ProcessSource, new
     )
     motion, t = path.sample.motion, path.sample.t
     nearest_samples = []
-    for surface_motion, surface_t in zip(new_surfaces.motion.tolist(), new_surfaces.t.tolist(), strict=True):
+    for surface_motion, surface_t in zip(probed_surfaces.motion.tolist(), probed_surfaces.t.tolist(), strict=True):
         samples = np.flatnonzero(motion == surface_motion)
         nearest_samples.append(int(samples[np.argmin(np.abs(t[samples] - surface_t))]))
-    surface_states = replace(path_states.take(np.array(nearest_samples)), weight_wrench=new_surfaces.weight_wrench)
+    surface_states = replace(path_states.take(np.array(nearest_samples)), weight_wrench=probed_surfaces.weight_wrench)
     return Cut(surface_states, path_states, motion, t, path.sample.pose.position, program)
 
 
@@ -388,7 +400,7 @@ class CutForces:
     def __call__(self, robot: RobotModel, scale: float, lifts: Sequence[Heights] = ()) -> States:
         """Return the states where the surfaces are made, of one program after the other.
 
-        :param robot: the robot that deflects the tool; not used by the first call.
+        :param robot: the robot that deflects the tool; not used by the first call, whose robot is rigid.
         :param scale: factor of the forces; not used by the first call.
         :param lifts: height of each program above the written one; empty: all run as written.
         """
@@ -410,10 +422,10 @@ class CutForces:
     def _begin(self) -> None:
         """Cut with a rigid robot at the written height and above it; store the cuts and their derivatives by lift."""
         for part in self._parts:
-            rigid = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
-            upper_cut = _recut(part, rigid.lift_displacement(LIFT_STEP))
-            self._cuts.append(rigid)
-            self._by_lift.append((upper_cut.surface_states.wrench - rigid.surface_states.wrench) / LIFT_STEP)
+            rigid_cut = cut(part.program, part.robot_in_cell, part.source, part.surfaces)
+            upper_cut = _recut(part, rigid_cut.lift_displacement(LIFT_STEP))
+            self._cuts.append(rigid_cut)
+            self._by_lift.append((upper_cut.surface_states.wrench - rigid_cut.surface_states.wrench) / LIFT_STEP)
 
 
 def _recut(part: ClampedProgram, shift: Shift) -> Cut:

@@ -25,10 +25,9 @@ from postproc.kinematics.forward import GRAVITY
 from postproc.machining import Process, ProcessSource
 from postproc.machining.process import StockTable
 from postproc.poses import Poses
-from postproc.program import Bools, Document, Ints, read_only
-from postproc.program import Program as Motions
+from postproc.program import Bools, Document, Ints, Program, read_only
 from postproc.testpart import features
-from postproc.testpart.cut import LIFT_STEP, States, Surfaces, rotated_weights, twist_weights
+from postproc.testpart.cut import LIFT_STEP, States, Surfaces, rotated_derivatives, twist_derivatives
 from postproc.testpart.features import Cutting, Feature, Kind, MiddleLine, Placement
 from postproc.testpart.prior import Prior
 from postproc.testpart.readings import PATH_ERROR, RADIUS_ERROR, UNEVENNESS
@@ -65,8 +64,8 @@ _TRIM_FACTOR = 1.3
 """First trimming passes take off this multiple of the largest deflection expected (assumed)."""
 
 
-def read_text(text: str, robot_in_cell: RobotInCell) -> Motions:
-    """Return the motions of the G-code of a test part.
+def read_text(text: str, robot_in_cell: RobotInCell) -> Program:
+    """Return the program of the G-code of a test part.
 
     :raises ProgramError: the cell does not allow it.
     """
@@ -174,23 +173,24 @@ def loads(kinds: list[Kind], cutting: Cutting, process: Process, robot_in_cell: 
     pitch = _ROW_PITCH_DIAMETERS * cutting.diameter
     row = [Feature(kind, 0.0, k * pitch, 0.0) for k, kind in enumerate(kinds)]
     part = features.program(row, cutting)
-    motions = read_text(part.text, robot_in_cell)
-    path = toolpath.segments(motions, robot_in_cell.start_flange)
-    motion = np.array([int(np.flatnonzero(motions.motions.line == line)[0]) for line in part.line])
-    places = toolpath.at(motions, path, motion, part.t)
-    travel = toolpath.tangent(motions, path, motion, part.t)
+    program = read_text(part.text, robot_in_cell)
+    path = toolpath.segments(program, robot_in_cell.start_flange)
+    motion = np.array([int(np.flatnonzero(program.motions.line == line)[0]) for line in part.line])
+    places = toolpath.at(program, path, motion, part.t)
+    travel = toolpath.tangent(program, path, motion, part.t)
     # a program that runs higher over the block is one in a lower block
     wrench, lifted_wrench = (
-        forces.assign(motions, path, source, robot_in_cell.spindle, robot_in_cell.ramp).at(places)
+        forces.assign(program, path, source, robot_in_cell.spindle, robot_in_cell.ramp).at(places)
         for source in (
             _source(kinds, replace(cutting, top=cutting.top - lift), process, robot_in_cell)
             for lift in (0.0, LIFT_STEP)
         )
     )
     by_lift = (lifted_wrench - wrench) / LIFT_STEP
-    loads_by_kind, first = [], 0  # first point of each feature
+    loads_by_kind, first = [], 0  # row of the first point of a feature
     for feature in row:
         rows = slice(first, first + len(features.probes(feature.kind, cutting)))
+        # features of the row are not turned: their axes are those of `$BASE`, displaced
         tip = places.pose.position[rows] - np.array([feature.x, feature.y, cutting.top])
         loads_by_kind.append(Loads(tip, wrench[rows], travel[rows], by_lift[rows]))
         first = rows.stop
@@ -228,10 +228,11 @@ def candidates(
     :raises PlanError: the block is too thin, no feature fits, or the robot reaches none in a placement.
     :raises ForceError: the process cannot be used.
     """
-    kinds = [Kind(round(share * depth, 6), side) for share in _DEPTH_SHARES for side in (0, 1, -1)]
+    sides = 0, 1, -1  # a groove, and steps that are cut down- and up-milling
+    kinds = [Kind(round(share * depth, 6), side) for share in _DEPTH_SHARES for side in sides]
     low, high = (np.array([span[k] for span in (box.X, box.Y, box.Z)]) / MM_PER_M for k in (0, 1))
     for _ in range(2):  # a second time with deeper trimming, if the tool deflects further than was assumed
-        if depth + cutting.trims[-1][1] + _LEAST_FLOOR_THICKNESS > high[2] - low[2]:
+        if depth + cutting.trims[-1].floor + _LEAST_FLOOR_THICKNESS > high[2] - low[2]:
             raise PlanError(f"the block is too thin for grooves of {depth * MM_PER_M:g} mm", file=process.path)
         loads_by_kind = loads(kinds, cutting, process, placements[0])
         all_features = _inside_block(kinds, cutting, (low, high), max(1, _MOST_PLACES // len(placements)))
@@ -314,14 +315,15 @@ def _join_candidates(by_placement: list[list[_ReachableFeature]], cutting: Cutti
     number = np.repeat(np.arange(len(by_placement)), [len(placement) for placement in by_placement])
     features_in_order = tuple(entry.feature for entry in entries)
     seconds = {kind: features.seconds(kind, cutting) for kind in {feature.kind for feature in features_in_order}}
-    of_placement = np.array([entry.information for entry in entries])
-    common = of_placement.shape[1] - _UNKNOWNS_OF_PLACEMENT
-    size = common + _UNKNOWNS_OF_PLACEMENT * len(by_placement)
+    information_in_placement = np.array([entry.information for entry in entries])
+    common_count = information_in_placement.shape[1] - _UNKNOWNS_OF_PLACEMENT
+    size = common_count + _UNKNOWNS_OF_PLACEMENT * len(by_placement)
     information = np.zeros((len(entries), size, size))
     for k in range(len(by_placement)):
         rows = np.flatnonzero(number == k)
-        unknowns = np.append(np.arange(common), common + _UNKNOWNS_OF_PLACEMENT * k + np.arange(_UNKNOWNS_OF_PLACEMENT))
-        information[np.ix_(rows, unknowns, unknowns)] = of_placement[rows]
+        placement_unknowns = common_count + _UNKNOWNS_OF_PLACEMENT * k + np.arange(_UNKNOWNS_OF_PLACEMENT)
+        unknowns = np.append(np.arange(common_count), placement_unknowns)
+        information[np.ix_(rows, unknowns, unknowns)] = information_in_placement[rows]
     return Candidates(
         feature=features_in_order,
         placement=number,
@@ -433,14 +435,14 @@ def _probed_points(
     normals = np.array([probe.normal for probe in probes])
     normal = _in_base(features_of_kind, cutting, normals, is_direction=True)
     travel = _in_base(features_of_kind, cutting, load.travel, is_direction=True)
-    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)
-    weight = rotated_weights(rotation, twist_weights(normal, point - tip, axis, travel, 0.5 * cutting.diameter))
+    axis = np.broadcast_to([0.0, 0.0, 1.0], normal.shape)  # from the tip to the spindle
+    by_twist = twist_derivatives(normal, point - tip, axis, travel, 0.5 * cutting.diameter)
     no_wrench = np.zeros((int(is_reached.sum()), 6))
     surfaces = Surfaces(
         motion=no_wrench[:, 0].astype(np.int64),  # motions and their places count for the program of a part only
         t=no_wrench[:, 0],
-        weight=weight[is_reached],
-        wall=(np.abs(normal[:, 2]) < 0.5).astype(float)[is_reached],  # normals are along Z or across it
+        by_twist=rotated_derivatives(rotation, by_twist)[is_reached],
+        is_wall=np.asarray(np.abs(normal[:, 2]) < 0.5)[is_reached],  # normals are along Z or across it
         weight_wrench=no_wrench,
         point=point[is_reached],
     )
@@ -459,6 +461,7 @@ def _information(
     prior, count = survey.prior, points.point_count
     twist, by_parameter, by_scale = states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
     _, by_twist = points.surfaces.deviation(twist)
+    # derivatives by unknowns in units of their prior standard deviations; the last one is the scale of the forces
     slopes = np.einsum("nk,nkp->np", by_twist, by_parameter) @ prior.by_file * prior.sigma[:-1]
     deflection = np.linalg.norm(by_scale[:, :3], axis=1).reshape(-1, count)
     by_force = prior.sigma[-1] * np.einsum("nk,nk->n", by_twist, by_scale)
@@ -468,7 +471,9 @@ def _information(
     shift_sigma, turn_sigma = _POSITION_SIGMAS
     position = np.concatenate([shift_sigma * direction, turn_sigma * np.cross(points.arm, direction)], axis=1)
     # unknowns scaled to unit standard deviation: parameters, force, cutter radius, position of the part, lift
-    columns = np.column_stack([slopes, by_force, RADIUS_ERROR * points.surfaces.wall, position, UNEVENNESS * by_lift])
+    columns = np.column_stack(
+        [slopes, by_force, RADIUS_ERROR * points.surfaces.is_wall, position, UNEVENNESS * by_lift]
+    )
     # from here on by feature: errors of its points have causes in common
     columns = columns.reshape(-1, count, columns.shape[1])
     direction, by_lift = direction.reshape(-1, count, 3), by_lift.reshape(-1, count, 1)
@@ -501,21 +506,21 @@ def _states(
     """
     # a program whose last move is with this tool at feed: it has the frames and the orientation of the tool
     text = f"G21 G90 G17 G94\nT{cutting.tool} M6\nG0 X0 Y0 Z0\nG1 X0 Y0 Z1 F100\n"
-    motions = read_text(text, robot_in_cell)
-    last = len(motions.motions) - 1
+    program = read_text(text, robot_in_cell)
+    last = len(program.motions) - 1
     motion = np.full(len(tip), last)
-    pose = Poses.fixed(tip, motions.motions.target.rotation[last])
-    t = np.full(len(tip), 0.5)
-    q, is_reached = _reached_angles(robot_in_cell, motions, motion, t, pose, count=count)
+    pose = Poses.fixed(tip, program.motions.target.rotation[last])
+    t = np.full(len(tip), 0.5)  # any place: frames are the same along the move
+    q, is_reached = _reached_angles(robot_in_cell, program, motion, t, pose, count=count)
     rows = np.flatnonzero(np.repeat(is_reached, count))
-    rotation = np.broadcast_to(toolpath.base_of(motions, motion)[..., :3, :3], (len(tip), 3, 3))
+    rotation = np.broadcast_to(toolpath.base_of(program, motion)[..., :3, :3], (len(tip), 3, 3))
     wrench_in_root, by_lift_in_root = (
-        toolpath.wrench_in_root(motions, motion[rows], vectors[rows]) for vectors in (wrench, by_lift)
+        toolpath.wrench_in_root(program, motion[rows], vectors[rows]) for vectors in (wrench, by_lift)
     )
     states = States(
         q=q,
-        tool=np.broadcast_to(toolpath.tool_of(motions, motion[rows]), (len(rows), 4, 4)),
-        pose=toolpath.pose_in_root(motions, motion[rows], pose[rows], t[rows]),
+        tool=np.broadcast_to(toolpath.tool_of(program, motion[rows]), (len(rows), 4, 4)),
+        pose=toolpath.pose_in_root(program, motion[rows], pose[rows], t[rows]),
         wrench=wrench_in_root,
         weight_wrench=np.zeros((len(rows), 6)),
         lift=np.zeros(len(rows)),
@@ -525,7 +530,7 @@ def _states(
 
 
 def _reached_angles(
-    robot_in_cell: RobotInCell, motions: Motions, motion: Ints, t: Array, pose: Poses, *, count: int
+    robot_in_cell: RobotInCell, program: Program, motion: Ints, t: Array, pose: Poses, *, count: int
 ) -> tuple[Array, Bools]:
     """Return the joint angles (k, 6) [rad] at points of reached features, and True (n / count,) for these features.
 
@@ -541,7 +546,7 @@ def _reached_angles(
     while is_reached.any():
         rows = np.flatnonzero(np.repeat(is_reached, count))
         try:
-            q = robot_in_cell.follow(motions, motion[rows], t[rows], pose.take(rows)).q[:]
+            q = robot_in_cell.follow(program, motion[rows], t[rows], pose.take(rows)).q[:]
         except UnreachableError as cause:
             is_reached[rows[list(cause.rows)] // count] = False
             continue
@@ -617,19 +622,19 @@ class Criterion(Struct, frozen=True, eq=False):
     weight: Array
 
     @classmethod
-    def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknowns: int) -> Criterion:
+    def of(cls, prior: Prior, robot_in_cell: RobotInCell, tests: Tests, unknown_count: int) -> Criterion:
         """Return the criterion for test poses.
 
         At poses whose forces another source states, only the parameters count: the force scale is that of the process.
 
-        :param unknowns: number m of unknowns of the information; parameters and force scale are the first of them.
+        :param unknown_count: number m of unknowns of the information; parameters and force scale are the first of them.
         """
         _, by_parameter, by_scale = tests.states.derivatives(robot_in_cell, prior.robot, prior.order, 1.0)
         slopes = by_parameter[:, :3] @ prior.by_file * prior.sigma[:-1]
         by_force = prior.sigma[-1] * tests.is_scaled[:, None] * by_scale[:, :3]
         slopes = np.concatenate([slopes, by_force[:, :, None]], axis=2)
         size = slopes.shape[2]
-        weight = np.zeros((unknowns, unknowns))
+        weight = np.zeros((unknown_count, unknown_count))
         weight[:size, :size] = np.einsum("t,tip,tiq->pq", tests.weight, slopes, slopes)
         return cls(weight)
 
@@ -667,6 +672,7 @@ def gauge_information(
     :param sigma: noise of the gauge [m].
     :raises PlanError: the robot does not reach a place.
     """
+    # parameters and force scale, radius of the tool, then position and height of the top in each placement
     size = len(prior.sigma) + 1 + _UNKNOWNS_OF_PLACEMENT * len(placements)
     information = np.zeros((size, size))
     if not len(places):
@@ -711,9 +717,9 @@ def choose(
     :param weight_information: (m, m) information of a gauge that reads the displacement by a weight; 0: no weight.
     :raises MeasurementError: no feature can be chosen.
     """
-    unknowns = candidates_in_block.information.shape[1]
-    criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
-    start = _prior_information(prior, unknowns) + weight_information
+    unknown_count = candidates_in_block.information.shape[1]
+    criterion = Criterion.of(prior, robot_in_cell, tests, unknown_count)
+    start = _prior_information(prior, unknown_count) + weight_information
     rows = _best_one_by_one(candidates_in_block, criterion, start, count)
     for _ in range(_MOST_EXCHANGE_ROUNDS):
         if not _exchange(candidates_in_block, criterion, start, rows):  # changes `rows`
@@ -749,8 +755,8 @@ def _exchange(candidates_in_block: Candidates, criterion: Criterion, start: Arra
     :param rows: rows of the features; changed in place.
     """
     is_changed = False
-    for place in range(len(rows)):
-        other_rows = rows[:place] + rows[place + 1 :]
+    for index in range(len(rows)):
+        other_rows = rows[:index] + rows[index + 1 :]
         other_information = start + candidates_in_block.information[other_rows].sum(axis=0)
         time_left = candidates_in_block.seconds[rows].sum() - candidates_in_block.seconds[other_rows].sum()
         # 1e-9: rounding; the present feature is always among them
@@ -760,10 +766,10 @@ def _exchange(candidates_in_block: Candidates, criterion: Criterion, start: Arra
             fitting_rows[np.argmin(criterion(other_information + candidates_in_block.information[fitting_rows]))]
         )
         new_value, old_value = (
-            float(criterion(other_information + candidates_in_block.information[row])) for row in (best, rows[place])
+            float(criterion(other_information + candidates_in_block.information[row])) for row in (best, rows[index])
         )
         if new_value < (1.0 - _LEAST_GAIN) * old_value:
-            rows[place], is_changed = best, True
+            rows[index], is_changed = best, True
     return is_changed
 
 
@@ -783,12 +789,13 @@ def evaluate(
     """
     if not len(rows):
         raise MeasurementError("no feature was chosen", file="--block", advice="Give a larger block.")
-    unknowns = candidates_in_block.information.shape[1]
-    criterion = Criterion.of(prior, robot_in_cell, tests, unknowns)
-    start = _prior_information(prior, unknowns)
-    whole = start + candidates_in_block.information[rows].sum(axis=0)
-    covariance_without_weight, covariance = np.linalg.inv(whole), np.linalg.inv(whole + weight_information)
-    size = len(prior.parameters) + 1
+    unknown_count = candidates_in_block.information.shape[1]
+    criterion = Criterion.of(prior, robot_in_cell, tests, unknown_count)
+    start = _prior_information(prior, unknown_count)
+    information = start + candidates_in_block.information[rows].sum(axis=0)
+    covariance_without_weight, covariance = np.linalg.inv(information), np.linalg.inv(information + weight_information)
+    size = len(prior.parameters) + 1  # parameters and force scale
+    # of the cutting forces alone: without forces the robot still deflects under its own weight
     deflection = (
         tests.states.twist(robot_in_cell, prior.robot, 1.0)[:, :3]
         - tests.states.twist(robot_in_cell, prior.robot, 0.0)[:, :3]
@@ -802,7 +809,7 @@ def evaluate(
         chosen=rows[order],
         sigma=np.sqrt(np.diag(covariance)[:size]),
         sigma_without_weight=np.sqrt(np.diag(covariance_without_weight)[:size]) if np.any(weight_information) else None,
-        change=_visible_changes(prior, whole + weight_information - start),
+        change=_visible_changes(prior, information + weight_information - start),
         before=float(np.sqrt(criterion(start))),
         after=float(np.sqrt(np.sum(covariance * criterion.weight))),
         deflection=float(np.sqrt(np.sum(tests.weight * np.sum(deflection**2, axis=1)))),
@@ -821,15 +828,15 @@ def _visible_changes(prior: Prior, information: Array) -> Array:
     :param information: (m, m) information of the part, in the units of `Candidates.information`.
     :returns: the changes; infinite for parameters that the part does not determine.
     """
-    size = len(prior.parameters) + 1
+    size = len(prior.parameters) + 1  # parameters and force scale; the nuisance unknowns follow
     nuisance = information[size:, size:].copy()
     # prior information of radius, position and height of the top: in their units, the position is as good as free
     nuisance += np.eye(len(nuisance))
     coupling = information[:size, size:]
-    own_information = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
+    part_information = information[:size, :size] - coupling @ np.linalg.pinv(nuisance, hermitian=True) @ coupling.T
     information_of_two = (
-        own_information
-        - own_information @ np.linalg.inv(_prior_information(prior, size) + 2.0 * own_information) @ own_information
+        part_information
+        - part_information @ np.linalg.inv(_prior_information(prior, size) + 2.0 * part_information) @ part_information
     )
     visibility = np.sqrt(np.maximum(np.diag(information_of_two)[:-1], 0.0)) * prior.values
     return np.asarray(

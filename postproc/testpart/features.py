@@ -60,6 +60,13 @@ RAPID = 0.1
 """Speed of rapid moves for the estimate of the time [m/s] (assumed)."""
 
 
+class Trim(NamedTuple):
+    """Depths of a trimming pass beyond the groove: at its walls, and at its floor [m]."""
+
+    wall: float
+    floor: float
+
+
 class Cutting(Struct, frozen=True):
     """How the part is cut.
 
@@ -79,10 +86,10 @@ class Cutting(Struct, frozen=True):
     trim: float = LEAST_TRIM
 
     @property
-    def trims(self) -> tuple[tuple[float, float], ...]:
-        """Depths of each trimming pass beyond the groove [m]: at walls, then at the floor."""
-        first = self.trim, _FLOOR_TRIM_SHARE * self.trim
-        return first, (first[0] + _LAST_SIDE, first[1] + _LAST_FLOOR)
+    def trims(self) -> tuple[Trim, ...]:
+        """The trimming passes: one that takes off the deflection, and a last one that cuts next to nothing."""
+        first = Trim(wall=self.trim, floor=_FLOOR_TRIM_SHARE * self.trim)
+        return first, Trim(wall=first.wall + _LAST_SIDE, floor=first.floor + _LAST_FLOOR)
 
 
 class Kind(Struct, frozen=True):
@@ -114,13 +121,18 @@ class Pass(Struct, frozen=True):
     """A straight move of the tool tip in the axes of the feature.
 
     :param end: (u, v, w) of its end [m].
-    :param feed: its feed as a share of the feed of cuts; 0 for a rapid move.
+    :param feed_share: its feed as a share of the feed of cuts; 0 for a rapid move.
     :param name: name of the pass if it makes probed surfaces; else empty.
     """
 
     end: tuple[float, float, float]
-    feed: float
+    feed_share: float
     name: str = ""
+
+    @property
+    def is_rapid(self) -> bool:
+        """Whether it is a rapid move."""
+        return self.feed_share == 0.0
 
 
 class Probe(Struct, frozen=True):
@@ -149,11 +161,13 @@ def outline(kind: Kind, cutting: Cutting) -> tuple[float, float]:
     The strip includes half of the wall that is left to each neighbour.
     """
     step = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side
-    return 0.5 * step, 0.5 * (1.0 + _WALL_DIAMETERS) * cutting.diameter + cutting.trims[-1][0] + 0.5 * abs(step)
+    return 0.5 * step, 0.5 * (1.0 + _WALL_DIAMETERS) * cutting.diameter + cutting.trims[-1].wall + 0.5 * abs(step)
 
 
 def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
     """Return the moves that cut a feature, from above the block to above the block.
+
+    Their ends are in the axes of the feature: u along it, v to its left, w up from the top of the block.
 
     First the groove is cut along −u, its half u > 0 by a ramp there and back. Then follow the step, if there is one,
     and the trimming passes along the half u > 0, whose surfaces are the reference.
@@ -183,47 +197,52 @@ def passes(kind: Kind, cutting: Cutting) -> list[Pass]:
 def _trimming_moves(kind: Kind, cutting: Cutting) -> list[Pass]:
     """Return the moves that trim walls and floor of the half u > 0, from above the block to above the block."""
     end_u, floor_w = half_length(cutting.diameter), -kind.depth
-    step_v = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side
+    step_v = _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side  # displacement of the second pass; 0: no step
     moves = []
-    for number, (side, floor) in enumerate(cutting.trims):
-        # v of the tool at both walls, and w of its tip
-        high, low, trim_w = max(step_v, 0.0) + side, min(step_v, 0.0) - side, floor_w - floor
+    for number, trim in enumerate(cutting.trims):
+        # v of the tool at the left and at the right wall, and w of its tip
+        left_v, right_v, trim_w = max(step_v, 0.0) + trim.wall, min(step_v, 0.0) - trim.wall, floor_w - trim.floor
         is_last = number == len(cutting.trims) - 1  # its surfaces are probed
         moves += [
             Pass((end_u, 0.5 * step_v, _CLEARANCE_HEIGHT), 0.0),
             Pass((end_u, 0.5 * step_v, trim_w), _PLUNGE_FEED_SHARE),
-            Pass((end_u, high, trim_w), _PLUNGE_FEED_SHARE),
-            Pass((0.0, high, trim_w), 1.0, "trim left" if is_last else ""),
-            Pass((0.0, low, trim_w), _PLUNGE_FEED_SHARE),
-            Pass((end_u, low, trim_w), 1.0, "trim right" if is_last else ""),
-            Pass((end_u, low, _CLEARANCE_HEIGHT), 0.0),
+            Pass((end_u, left_v, trim_w), _PLUNGE_FEED_SHARE),
+            Pass((0.0, left_v, trim_w), 1.0, "trim left" if is_last else ""),
+            Pass((0.0, right_v, trim_w), _PLUNGE_FEED_SHARE),
+            Pass((end_u, right_v, trim_w), 1.0, "trim right" if is_last else ""),
+            Pass((end_u, right_v, _CLEARANCE_HEIGHT), 0.0),
         ]
     return moves
 
 
 def probes(kind: Kind, cutting: Cutting) -> list[Probe]:
-    """Return the probed points of a feature: on the surfaces of the loaded half, then on those of the trimmed half."""
-    radius, step, side = 0.5 * cutting.diameter, _STEP_WIDTH_DIAMETERS * cutting.diameter * kind.side, kind.side
+    """Return the probed points of a feature: on the surfaces of the loaded half, then on those of the trimmed half.
+
+    Points are (u, v, w) [m]: u along the groove, negative in the loaded half; v to its left; w up from the top.
+    """
+    radius, side = 0.5 * cutting.diameter, kind.side
+    step_v = _STEP_WIDTH_DIAMETERS * cutting.diameter * side
     trimmed_u = _PROBE_SHARE * half_length(cutting.diameter)
-    loaded_u, (trim, floor) = -trimmed_u, cutting.trims[-1]
-    middle_w, floor_w, trim_w = -0.5 * kind.depth, -kind.depth, -kind.depth - floor
-    left, right, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-    high, low = max(step, 0.0) + trim, min(step, 0.0) - trim
+    loaded_u, trim = -trimmed_u, cutting.trims[-1]
+    middle_w, floor_w, trim_w = -0.5 * kind.depth, -kind.depth, -kind.depth - trim.floor
+    # normals out of the material: that of the left wall points to the right
+    left_normal, right_normal, up = (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+    trim_left_v, trim_right_v = max(step_v, 0.0) + trim.wall, min(step_v, 0.0) - trim.wall
     loaded_probes = [
-        Probe("left", "step" if side > 0 else "groove", (loaded_u, max(step, 0.0) + radius, middle_w), left),
-        Probe("right", "step" if side < 0 else "groove", (loaded_u, min(step, 0.0) - radius, middle_w), right),
+        Probe("left", "step" if side > 0 else "groove", (loaded_u, max(step_v, 0.0) + radius, middle_w), left_normal),
+        Probe("right", "step" if side < 0 else "groove", (loaded_u, min(step_v, 0.0) - radius, middle_w), right_normal),
         # not where the pass of the step cuts the floor of the groove once more
         Probe("floor", "groove", (loaded_u, -_FLOOR_PROBE_SHARE * radius * side, floor_w), up),
     ]
     if side:
         loaded_probes.append(
-            Probe("step_floor", "step", (loaded_u, step + _FLOOR_PROBE_SHARE * radius * side, floor_w), up)
+            Probe("step_floor", "step", (loaded_u, step_v + _FLOOR_PROBE_SHARE * radius * side, floor_w), up)
         )
     return [
         *loaded_probes,
-        Probe("ref_left", "trim left", (trimmed_u, high + radius, middle_w), left),
-        Probe("ref_right", "trim right", (trimmed_u, low - radius, middle_w), right),
-        Probe("ref_floor", "trim right", (trimmed_u, low, trim_w), up),
+        Probe("ref_left", "trim left", (trimmed_u, trim_left_v + radius, middle_w), left_normal),
+        Probe("ref_right", "trim right", (trimmed_u, trim_right_v - radius, middle_w), right_normal),
+        Probe("ref_floor", "trim right", (trimmed_u, trim_right_v, trim_w), up),
     ]
 
 
@@ -233,7 +252,7 @@ def seconds(kind: Kind, cutting: Cutting) -> float:
     for move in passes(kind, cutting):
         end = np.array(move.end)
         if last_end is not None:
-            speed = RAPID if move.feed == 0.0 else move.feed * cutting.feed
+            speed = RAPID if move.is_rapid else move.feed_share * cutting.feed
             total += float(np.linalg.norm(end - last_end)) / speed
         last_end = end
     return total
@@ -369,7 +388,7 @@ class _ProgramPoint(Struct, frozen=True, eq=False):
     """A probed point, or a reading of a gauge, with the line of the program whose motion makes it.
 
     :param name: name of feature and surface, ``F01.left``.
-    :param line: number of the line, 1 for the first line of its block; 0 if no line makes the point.
+    :param line: number of the line, 1 for the first line of its section; 0 if no line makes the point.
     :param t: place on the motion of the line, in [0, 1].
     :param point: (3,) in `$BASE` [m].
     :param normal: (3,) unit normal out of the material; of a gauge the direction in which it reads positive.
@@ -384,7 +403,7 @@ class _ProgramPoint(Struct, frozen=True, eq=False):
     mass: float = 0.0
 
 
-class _Block(Struct, frozen=True):
+class _Section(Struct, frozen=True):
     """Consecutive lines of a program, and the points to be probed or read that belong to them."""
 
     lines: list[str]
@@ -421,19 +440,19 @@ def program(
     :param placement_title: placement of the block, for the operator; empty: the block has one placement.
     """
     no_points = np.zeros((0, 3))
-    blocks = [_head_lines(cutting, no_points if touches is None else touches, first.touch, placement_title)]
+    sections = [_head_lines(cutting, no_points if touches is None else touches, first.touch, placement_title)]
     for number, feature in enumerate(features, start=first.feature):
-        blocks.append(_feature_lines(number, feature, cutting, has_height=number > first.feature))
-    count = len(blocks) - 1
-    blocks.append(_Block([f"G0 Z{(cutting.top + _END_HEIGHT) * MM_PER_M:.4f}", "M5"], []))
-    blocks.append(_weight_stops(mass, no_points if weight_places is None else weight_places, first.weight))
+        sections.append(_feature_lines(number, feature, cutting, has_height=number > first.feature))
+    count = len(sections) - 1  # without the head
+    sections.append(_Section([f"G0 Z{(cutting.top + _END_HEIGHT) * MM_PER_M:.4f}", "M5"], []))
+    sections.append(_weight_stops(mass, no_points if weight_places is None else weight_places, first.weight))
     lines: list[str] = []
     line_numbers: list[int] = []
-    for block in blocks:
-        # lines count from the start of their block; 0, a point that no line makes, stays 0
-        line_numbers += [point.line + len(lines) if point.line else 0 for point in block.points]
-        lines += block.lines
-    points = [point for block in blocks for point in block.points]
+    for section in sections:
+        # lines count from the start of their section; 0, a point that no line makes, stays 0
+        line_numbers += [point.line + len(lines) if point.line else 0 for point in section.points]
+        lines += section.lines
+    points = [point for section in sections for point in section.points]
     return Program(
         text="\n".join([*lines, "M30", ""]),
         features=count,
@@ -446,7 +465,7 @@ def program(
     )
 
 
-def _head_lines(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Block:
+def _head_lines(cutting: Cutting, touches: Array, first: int, placement_title: str) -> _Section:
     """Return the first lines of the program: comments for the operator with the touch-off points, tool and spindle.
 
     :param touches: (k, 3) touch-off points in `$BASE` [m], and `first` the number of the first point.
@@ -466,10 +485,10 @@ def _head_lines(cutting: Cutting, touches: Array, first: int, placement_title: s
         up = np.array([0.0, 0.0, 1.0])
         points.append(_ProgramPoint(name=f"T{number:02d}.top", line=0, t=0.0, point=touch, normal=up))
     lines += ["G21 G90 G17 G94", f"T{cutting.tool} M6", f"S{cutting.rpm:g} M3"]
-    return _Block(lines, points)
+    return _Section(lines, points)
 
 
-def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Block:
+def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_height: bool) -> _Section:
     """Return the G-code lines that cut a feature, and the points to be probed on it.
 
     :param number: number of the feature.
@@ -482,7 +501,7 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
     for index, move in enumerate(passes(kind, cutting)):
         end = to_base(feature, cutting.top, np.array([move.end]))[0] * MM_PER_M
         words = f"X{end[0]:.4f} Y{end[1]:.4f}" + ("" if index == 0 and has_height else f" Z{end[2]:.4f}")
-        lines.append(f"G0 {words}" if move.feed == 0.0 else f"G1 {words} F{move.feed * feed:.1f}")
+        lines.append(f"G0 {words}" if move.is_rapid else f"G1 {words} F{move.feed_share * feed:.1f}")
         if move.name:
             # line from 1, and both ends of the move
             move_of_surface[move.name] = len(lines), last_end, np.array(move.end)
@@ -490,14 +509,15 @@ def _feature_lines(number: int, feature: Feature, cutting: Cutting, *, has_heigh
     points = []
     for probe in probes(kind, cutting):
         line, begin, end = move_of_surface[probe.made_by]
+        # passes that make probed surfaces are along u
         share = float((probe.point[0] - begin[0]) / (end[0] - begin[0]))
         point = to_base(feature, cutting.top, np.array([probe.point]))[0]
         normal = to_base(feature, cutting.top, np.array([probe.normal]), is_direction=True)[0]
         points.append(_ProgramPoint(name=f"{name}.{probe.name}", line=line, t=share, point=point, normal=normal))
-    return _Block(lines, points)
+    return _Section(lines, points)
 
 
-def _weight_stops(mass: float, places: Array, first: int) -> _Block:
+def _weight_stops(mass: float, places: Array, first: int) -> _Section:
     """Return the G-code lines of the stops at which a weight is hung on the tool, and the readings of the gauge.
 
     :param mass: mass of the weight [kg].
@@ -520,4 +540,4 @@ def _weight_stops(mass: float, places: Array, first: int) -> _Block:
             )
         )
         lines.append("M0")  # stop
-    return _Block(lines, points)
+    return _Section(lines, points)

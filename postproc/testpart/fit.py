@@ -83,9 +83,9 @@ class Fit(Struct, frozen=True, eq=False):
 
     :param prior: knowledge before the part.
     :param readings: the readings that were used.
-    :param z: (p,) change of the parameters from the prior, units of files.
+    :param z: (p,) change of the parameters from the prior, units of model.toml.
     :param scale: factor of the forces.
-    :param covariance: (p + 1, p + 1) of z and the scale.
+    :param covariance: (p + 1, p + 1) of z and, last, the scale.
     :param free: (p + 1,) True for parameters, and the scale, that were fitted; the others keep their prior values.
     :param prior_prediction: (n,) deviations predicted by the prior [m].
     :param prediction: (n,) deviations predicted by the fit [m]. Both predictions include the estimated position of the
@@ -135,8 +135,9 @@ class Fit(Struct, frozen=True, eq=False):
         """
         unmodelled = self.gamma * self.displacement  # standard deviation of what the model lacks [m]
         # a model that was identified from a part with these forces states its error at other places, not at the part
-        if (discrepancy := prior.robot.discrepancy) is not None and not prior.covariance[-1, :-1].any():
-            wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))
+        if (discrepancy := prior.robot.discrepancy) is not None and not prior.has_forces_of_model:
+            wrench = np.pad(self.load[:, None], ((0, 0), (0, 5)))  # only the size of the force counts
+            # 95 % bounds of lengths, divided to get standard deviations along a normal
             unmodelled = np.maximum(unmodelled, discrepancy.at(wrench) / LENGTH_95)
         noise = self.readings.part_covariance(self.by_lift) + np.diag(
             self.readings.sigma**2 + unmodelled**2 + light_pass_variance(self.readings, self.displacement)
@@ -172,9 +173,9 @@ class Fit(Struct, frozen=True, eq=False):
         load, bound = [], []
         for index in range(int(level.max()) + 1):
             rows = loaded_rows[level == index]
-            share = 1.0 / np.bincount(group)[group[level == index]]
+            share = 1.0 / np.bincount(group)[group[level == index]]  # of each point in its feature
             median = _MEDIAN_FACTOR * GAMMA * float(np.sqrt(np.mean(self.displacement[rows] ** 2)))
-            # variance without the unmodelled error, at least a tenth of the whole
+            # variance without the unmodelled error, at least a tenth of the total
             noise = self.spread[rows] ** 2 - (self.gamma * self.displacement[rows]) ** 2
             smallest_variance = _LEAST_VARIANCE_SHARE * self.spread[rows] ** 2
             variance = np.maximum(noise, smallest_variance)
@@ -192,7 +193,7 @@ class PriorComparison(Struct, frozen=True, eq=False):
     :param chi2: squared distance in units of the covariance; about n if the model is right.
     :param no_change_probability: probability of deviations that look as much like a change of one parameter, or of all,
         if none has changed.
-    :param change: (p + 1,) estimated changes of the parameters, units of files, at the forces of the model.
+    :param change: (p + 1,) estimated changes of the parameters, units of model.toml, at the forces of the model.
     :param spread: (p + 1,) standard deviations of these changes.
     """
 
@@ -229,10 +230,10 @@ class _Estimate(Struct, frozen=True, eq=False):
     :param outliers: names of points left out.
     :param free: (p + 1,) True for parameters, and the scale, that are fitted.
     :param states: states where the points are made, under the forces of the last round.
-    :param z: (p,) change of the parameters from the prior, units of files.
+    :param z: (p,) change of the parameters from the prior, units of model.toml.
     :param scale: factor of the forces.
     :param gamma: unmodelled error as a share of the deflection.
-    :param local: linear model at this solution; None: it is not known yet.
+    :param linear_model: linear model at this solution; None: it is not known yet.
     """
 
     readings: Readings
@@ -243,22 +244,22 @@ class _Estimate(Struct, frozen=True, eq=False):
     z: Array
     scale: float
     gamma: float = 0.0
-    local: LinearPrediction | None = None
+    linear_model: LinearPrediction | None = None
 
 
 class _PriorPrediction(NamedTuple):
     """Prediction of the prior model under the forces of the tool that the first solution deflects.
 
-    :param local: the linear model at the prior, for k readings.
+    :param linear_model: the linear model at the prior, for k readings.
     :param rows: (k,) ascending numbers of these readings among all that were read.
     """
 
-    local: LinearPrediction
+    linear_model: LinearPrediction
     rows: Ints
 
     def for_readings(self, rows: Ints) -> LinearPrediction:
         """Return the prediction for some of the k readings, by their ascending numbers (n,) among all readings."""
-        return self.local.take(np.searchsorted(self.rows, rows))
+        return self.linear_model.take(np.searchsorted(self.rows, rows))
 
 
 def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: CutAt) -> tuple[Fit, tuple[str, ...]]:
@@ -271,35 +272,46 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
     :returns: the fit, and the names of points left out.
     :raises MeasurementError: no robot near the model makes these deviations, or the fit does not settle.
     """
-    whole = prior.covariance
+    prior_covariance = prior.covariance
     no_change = np.zeros(len(prior.parameters))
     states = cut_at(prior.robot, 1.0, ())
-    local = linearise(prior, readings, states, robot_in_cell, z=no_change, scale=1.0)
-    _check_size(readings, local)
-    exchanged_pair = swapped_features(prior, readings, local)
-    rows, free = np.arange(len(readings.probed)), np.diag(whole) > 0.0
-    estimate = end = _Estimate(readings, rows, (), free, states, no_change, 1.0, local=local)
+    linear_model = linearise(prior, readings, states, robot_in_cell, z=no_change, scale=1.0)
+    _check_size(readings, linear_model)
+    exchanged_pair = swapped_features(prior, readings, linear_model)
+    rows, free = np.arange(len(readings.probed)), np.diag(prior_covariance) > 0.0  # certain values are not fitted
+    estimate = end = _Estimate(
+        readings=readings,
+        rows=rows,
+        outliers=(),
+        free=free,
+        states=states,
+        z=no_change,
+        scale=1.0,
+        linear_model=linear_model,
+    )
     max_outliers = int(_MOST_OUTLIERS_SHARE * len(readings.probed))
     prior_prediction: _PriorPrediction | None = None
     change = np.inf
     for _ in range(_MOST_ROUNDS):
         estimate = _solve(prior, robot_in_cell, estimate)
-        smaller_estimate = _without_outlier(estimate, whole, max_outliers) or _with_held_parameters(estimate, whole)
+        smaller_estimate = _without_outlier(estimate, prior_covariance, max_outliers) or _with_held_parameters(
+            estimate, prior_covariance
+        )
         if smaller_estimate is not None:
             estimate = smaller_estimate
             continue
-        z, scale, local = estimate.z, estimate.scale, _linear_model(estimate)
-        heights = _heights(_lifts(estimate, whole), MOST_LIFT_SHARE * readings.least_depth)
+        z, scale, linear_model = estimate.z, estimate.scale, _linear_model(estimate)
+        heights = _heights(_lifts(estimate, prior_covariance), MOST_LIFT_SHARE * readings.least_depth)
         states = cut_at(prior.robot_with_change(z), scale, heights).take(estimate.rows)
         if prior_prediction is None:  # the tool of the prior model deflects by nearly as much
             prior_local = linearise(prior, estimate.readings, states, robot_in_cell, z=no_change, scale=1.0)
             prior_prediction = _PriorPrediction(prior_local, estimate.rows)
         next_local = linearise(prior, estimate.readings, states, robot_in_cell, z=z, scale=scale)
-        change = float(np.sqrt(np.mean((next_local.value - local.value) ** 2)))
+        change = float(np.sqrt(np.mean((next_local.value - linear_model.value) ** 2)))
         end = replace(estimate, states=states)
         if change < _CONVERGENCE_RMS:
             break
-        estimate = replace(end, local=next_local)
+        estimate = replace(end, linear_model=next_local)
     if not change < _LARGEST_RESIDUAL or prior_prediction is None:
         raise MeasurementError(
             "the fit of the test part does not settle", file=readings.probed.file, advice="Check the deviations."
@@ -310,13 +322,13 @@ def fit(prior: Prior, readings: Readings, robot_in_cell: RobotInCell, cut_at: Cu
 
 def _linear_model(estimate: _Estimate) -> LinearPrediction:
     """Return the linear model of an estimate that has one, as any that `_solve` returns."""
-    assert estimate.local is not None
-    return estimate.local
+    assert estimate.linear_model is not None
+    return estimate.linear_model
 
 
 def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Estimate:
     """Return the estimate with the solution for its fixed forces."""
-    local, z, scale, gamma = solve(
+    linear_model, z, scale, gamma = solve(
         prior,
         estimate.readings,
         estimate.states,
@@ -324,26 +336,25 @@ def _solve(prior: Prior, robot_in_cell: RobotInCell, estimate: _Estimate) -> _Es
         z=estimate.z,
         scale=estimate.scale,
         free=estimate.free,
-        local=estimate.local,
+        linear_model=estimate.linear_model,
     )
-    return replace(estimate, local=local, z=z, scale=scale, gamma=gamma)
+    return replace(estimate, linear_model=linear_model, z=z, scale=scale, gamma=gamma)
 
 
-def _without_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _Estimate | None:
+def _without_outlier(estimate: _Estimate, prior_covariance: Array, max_outliers: int) -> _Estimate | None:
     """Return the estimate without its worst gross error; None if no error is gross, or too many points are left out.
 
-    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param prior_covariance: (p + 1, p + 1) prior covariance of parameters and scale.
     :param max_outliers: largest number of points that may be left out.
     """
     # with the median of γ before any reading: a gross error enlarges γ, and would hide in it
     error, variance = cross_validation_errors(
-        estimate.readings, _linear_model(estimate), GAMMA, whole, z=estimate.z, scale=estimate.scale
+        estimate.readings, _linear_model(estimate), GAMMA, prior_covariance, z=estimate.z, scale=estimate.scale
     )
     size = np.abs(error) / np.sqrt(variance)
     worst = int(np.argmax(size))
-    if len(estimate.outliers) >= max_outliers or size[worst] <= _OUTLIER_RATIO * max(
-        1.0, float(np.median(size)) / _NORMAL_MEDIAN
-    ):
+    usual_size = max(1.0, float(np.median(size)) / _NORMAL_MEDIAN)
+    if len(estimate.outliers) >= max_outliers or size[worst] <= _OUTLIER_RATIO * usual_size:
         return None
     kept_rows = np.delete(np.arange(len(size)), worst)
     return replace(
@@ -352,39 +363,47 @@ def _without_outlier(estimate: _Estimate, whole: Array, max_outliers: int) -> _E
         readings=estimate.readings.take(kept_rows),
         rows=estimate.rows[kept_rows],
         states=estimate.states.take(kept_rows),
-        local=_linear_model(estimate).take(kept_rows),
+        linear_model=_linear_model(estimate).take(kept_rows),
     )
 
 
-def _with_held_parameters(estimate: _Estimate, whole: Array) -> _Estimate | None:
+def _with_held_parameters(estimate: _Estimate, prior_covariance: Array) -> _Estimate | None:
     """Return the estimate with undetermined parameters at their prior values; None if all free ones are determined.
 
     The scale of the forces is never held.
 
-    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param prior_covariance: (p + 1, p + 1) prior covariance of parameters and scale.
     """
     # as if all were free: the uncertainty of parameters that are held already would widen that of the others
     all_free = np.ones_like(estimate.free)
     sigma = np.sqrt(
-        np.diag(posterior_covariance(estimate.readings, _linear_model(estimate), estimate.gamma, whole, all_free))
+        np.diag(
+            posterior_covariance(estimate.readings, _linear_model(estimate), estimate.gamma, prior_covariance, all_free)
+        )
     )
-    is_held = estimate.free & (sigma > HELD_SHARE * np.sqrt(np.diag(whole)))
+    is_held = estimate.free & (sigma > HELD_SHARE * np.sqrt(np.diag(prior_covariance)))
     is_held[-1] = False  # the scale of the forces
     if not is_held.any():
         return None
     free = estimate.free & ~is_held
-    return replace(estimate, free=free, z=np.where(free[:-1], estimate.z, 0.0), local=None)
+    return replace(estimate, free=free, z=np.where(free[:-1], estimate.z, 0.0), linear_model=None)
 
 
-def _lifts(estimate: _Estimate, whole: Array) -> tuple[Lift, ...]:
+def _lifts(estimate: _Estimate, prior_covariance: Array) -> tuple[Lift, ...]:
     """Return the lift of each program over the block, estimated from the readings.
 
-    :param whole: (p + 1, p + 1) prior covariance of parameters and scale.
+    :param prior_covariance: (p + 1, p + 1) prior covariance of parameters and scale.
     """
-    readings, local = estimate.readings, _linear_model(estimate)
-    target = readings.probed.deviation - local.value + local.slopes @ np.append(estimate.z, estimate.scale - 1.0)
-    covariance = local.slopes @ whole @ local.slopes.T + noise_covariance(readings, local, estimate.gamma)
-    return readings.lifts(local.by_lift, np.asarray(np.linalg.inv(covariance)), target)
+    readings, linear_model = estimate.readings, _linear_model(estimate)
+    target = (
+        readings.probed.deviation
+        - linear_model.value
+        + linear_model.slopes @ np.append(estimate.z, estimate.scale - 1.0)
+    )
+    covariance = linear_model.slopes @ prior_covariance @ linear_model.slopes.T + noise_covariance(
+        readings, linear_model, estimate.gamma
+    )
+    return readings.lifts(linear_model.by_lift, np.asarray(np.linalg.inv(covariance)), target)
 
 
 def _heights(lifts: Sequence[Lift], limit: float) -> list[Heights]:
@@ -405,44 +424,53 @@ def _fit_at_end(
     :param prior_linear: the linear model at the prior, under the forces of the tool that the first fit deflects.
     :param exchanged_pair: features whose readings look exchanged; None: there are none.
     """
-    readings, local, gamma, whole = estimate.readings, _linear_model(estimate), estimate.gamma, prior.covariance
+    readings, linear_model, gamma, prior_covariance = (
+        estimate.readings,
+        _linear_model(estimate),
+        estimate.gamma,
+        prior.covariance,
+    )
     states, scale = estimate.states, estimate.scale
     deviation = readings.probed.deviation
-    # share of a deviation from the prediction that position, radius and path explain
-    gain = readings.part_covariance(local.by_lift) @ np.linalg.inv(noise_covariance(readings, local, gamma))
+    # the share of an error of the prediction that position of the part, radius of the tool and path explain
+    gain = readings.part_covariance(linear_model.by_lift) @ np.linalg.inv(
+        noise_covariance(readings, linear_model, gamma)
+    )
     prior_residual = deviation - prior_linear.value
-    error, variance = cross_validation_errors(readings, local, gamma, whole, z=estimate.z, scale=scale)
+    error, variance = cross_validation_errors(
+        readings, linear_model, gamma, prior_covariance, z=estimate.z, scale=scale
+    )
     jacobian = kinematics.tcp(prior.robot.nominal, states.q, states.tool)[1]
     return Fit(
         prior=prior,
         readings=readings,
         z=estimate.z,
         scale=scale,
-        covariance=posterior_covariance(readings, local, gamma, whole, estimate.free),
+        covariance=posterior_covariance(readings, linear_model, gamma, prior_covariance, estimate.free),
         free=estimate.free,
         prior_prediction=prior_linear.value + gain @ prior_residual,
-        prediction=local.value + gain @ (deviation - local.value),
+        prediction=linear_model.value + gain @ (deviation - linear_model.value),
         load=scale * np.linalg.norm(states.wrench[:, :3], axis=1),
-        displacement=local.displacement,
+        displacement=linear_model.displacement,
         error=error,
         spread=np.sqrt(variance),
         gamma=gamma,
         prior_error=prior_residual,
         slopes=prior_linear.slopes,
         torque=scale * np.abs(np.einsum("nij,ni->nj", jacobian, states.wrench)).max(axis=0),
-        lifts=_lifts(estimate, whole),
-        by_lift=local.by_lift,
+        lifts=_lifts(estimate, prior_covariance),
+        by_lift=linear_model.by_lift,
         exchanged_pair=exchanged_pair,
     )
 
 
-def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) -> tuple[str, str] | None:
+def swapped_features(prior: Prior, readings: Readings, linear_model: LinearPrediction) -> tuple[str, str] | None:
     """Return two features whose readings agree with the model only if they are exchanged.
 
     Of all pairs with the same surfaces, their exchange lowers χ² most, and by more than `_SWAP_DECREASE`. χ² counts the
     covariance of the model, so that a robot that differs from the model is not taken for an exchange.
 
-    :param local: the linear model at the prior.
+    :param linear_model: the linear model at the prior.
     :returns: names of the features; None if no exchange is clear.
     """
     points = readings.probed
@@ -450,9 +478,11 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
     for row, name in enumerate(points.name):
         feature, _, surface = name.partition(".")
         rows.setdefault(feature, {})[surface] = row
-    covariance = local.slopes @ prior.covariance @ local.slopes.T + noise_covariance(readings, local, GAMMA)
+    covariance = linear_model.slopes @ prior.covariance @ linear_model.slopes.T + noise_covariance(
+        readings, linear_model, GAMMA
+    )
     inverse = np.linalg.inv(covariance)
-    residual = points.deviation - local.value
+    residual = points.deviation - linear_model.value
     smallest_chi2, pair = np.inf, None
     for first, second in combinations(rows, 2):
         if rows[first].keys() != rows[second].keys():
@@ -460,10 +490,11 @@ def swapped_features(prior: Prior, readings: Readings, local: LinearPrediction) 
         first_rows, second_rows = list(rows[first].values()), [rows[second][surface] for surface in rows[first]]
         deviation = points.deviation.copy()
         deviation[first_rows], deviation[second_rows] = points.deviation[second_rows], points.deviation[first_rows]
-        chi2 = float((deviation - local.value) @ inverse @ (deviation - local.value))
+        chi2 = float((deviation - linear_model.value) @ inverse @ (deviation - linear_model.value))
         if chi2 < smallest_chi2:
             smallest_chi2, pair = chi2, (first, second)
     decrease = float(residual @ inverse @ residual) - smallest_chi2
+    # χ² per point is above 1 if the part fits the model badly: then a larger decrease is needed
     return pair if decrease > _SWAP_DECREASE * max(1.0, smallest_chi2 / len(points)) else None
 
 
@@ -499,24 +530,29 @@ def _opposite_rows(names: Sequence[str]) -> Ints:
     return np.array(rows)
 
 
-def _check_size(readings: Readings, local: LinearPrediction) -> None:
+def _check_size(readings: Readings, linear_model: LinearPrediction) -> None:
     """Refuse deviations that no robot near the model can make: with the wrong sign or unit, or almost zero.
 
     :raises MeasurementError: they are less than a fifth of the predicted deviations, or more than five times these.
     """
-    noise, deviation = noise_covariance(readings, local, GAMMA), readings.probed.deviation
-    weighted_prediction = np.linalg.solve(noise, local.value)
-    share = float(weighted_prediction @ deviation) / float(weighted_prediction @ local.value)
+    noise, deviation = noise_covariance(readings, linear_model, GAMMA), readings.probed.deviation
+    weighted_prediction = np.linalg.solve(noise, linear_model.value)
+    # factor of the predicted deviations that fits the probed ones best
+    share = float(weighted_prediction @ deviation) / float(weighted_prediction @ linear_model.value)
     if 1.0 / _LARGEST_FACTOR <= share <= _LARGEST_FACTOR:
         return
     exchanged = deviation[_opposite_rows(readings.probed.name)]
-    if _cosine_between(exchanged, local.value, noise) > _ALIKE_COSINE > _cosine_between(deviation, local.value, noise):
+    if (
+        _cosine_between(exchanged, linear_model.value, noise)
+        > _ALIKE_COSINE
+        > _cosine_between(deviation, linear_model.value, noise)
+    ):
         advice = "They fit if left and right of all features are exchanged: left is that seen along the groove, on +v."
     elif share < -1.0 / _LARGEST_FACTOR:
         advice = "deviation_mm is positive where material is left: is the sign the other way?"
     elif share > _LARGEST_FACTOR:
         advice = "Is deviation_mm in millimetres? Are program and process those that the part was cut with?"
-    elif 0.5 < share * _MM_PER_INCH < 2.0 and _cosine_between(deviation, local.value, noise) > _ALIKE_COSINE:
+    elif 0.5 < share * _MM_PER_INCH < 2.0 and _cosine_between(deviation, linear_model.value, noise) > _ALIKE_COSINE:
         advice = "Is deviation_mm in inch? Give it in mm."
     else:
         advice = "The part shows hardly any deflection. Was testpart.src cut as it was written, not corrected?"

@@ -145,7 +145,7 @@ class PartIdentification(Record, frozen=True, kw_only=True, omit_defaults=True):
 
 
 def file_values(fit: Fit) -> tuple[Array, Array]:
-    """Return the fitted parameters in units of files (p,), and their covariance (p + 1, p + 1) with the scale.
+    """Return the fitted parameters in units of model.toml (p,), and their covariance (p + 1, p + 1) with the scale.
 
     The last row and column of the covariance are for the relative error of the scale of the forces.
     """
@@ -173,7 +173,11 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
     is_changed = comparison.no_change_probability < _DRIFT_PROBABILITY
     factor = np.maximum(1.0 + comparison.change[:-1] / prior.values, MIN_SHARE)
     changes = [
-        Change(parameter.name, round(float(factor[k]), 3), round(float(comparison.change[k] / comparison.spread[k]), 1))
+        Change(
+            name=parameter.name,
+            factor=round(float(factor[k]), 3),
+            sigmas=round(float(comparison.change[k] / comparison.spread[k]), 1),
+        )
         for k, parameter in enumerate(prior.parameters)
         if is_changed and abs(comparison.change[k]) > _DRIFT_SIGMAS * comparison.spread[k] > 0.0
     ]
@@ -182,8 +186,8 @@ def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreeme
         names = ", ".join(f"{change.name} × {change.factor:.2f}" for change in changes)
         line += f"; the arm deflects otherwise under these forces: {names or 'no single joint'}"
     warnings = []
-    is_joint = prior.covariance[-1, :-1].any()
-    if not is_joint and prior.sigma[-1] > 0.0:
+    is_scale_certain = prior.sigma[-1] == 0.0
+    if not prior.has_forces_of_model and not is_scale_certain:
         warnings.append(
             "the model was not identified with these forces, so a change of all compliances by one factor is hardly "
             "seen: give the process with the material.toml of the model"
@@ -208,9 +212,12 @@ def summary(fit: Fit, outliers: tuple[str, ...]) -> PartIdentification:
     readings, prior = fit.readings, fit.prior
     parameters, held_names = _parameters(fit)
     scale = Parameter(
-        float(fit.scale), float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])), "1",
-        observable=bool(fit.sigma[-1] < _OBSERVABLE_SHARE), prior=1.0,
-    )  # fmt: skip
+        value=float(fit.scale),
+        ci95=float(NORMAL_95 * np.sqrt(fit.covariance[-1, -1])),
+        unit="1",
+        observable=bool(fit.sigma[-1] < _OBSERVABLE_SHARE),
+        prior=1.0,
+    )
     load, u95 = fit.u95()
     deviation = readings.probed.deviation
     return PartIdentification(
@@ -258,7 +265,7 @@ def _probed_points(fit: Fit) -> list[ProbedPoint]:
 
 
 def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
-    """Return name → parameter with its 95 % interval, in units of files; and the names that keep their prior value."""
+    """Return name → parameter with its 95 % interval, in units of model.toml; and the names that keep their prior."""
     values, covariance = file_values(fit)
     half_width = NORMAL_95 * np.sqrt(np.diag(covariance))[:-1]
     parameters, held_names = {}, []
@@ -267,9 +274,9 @@ def _parameters(fit: Fit) -> tuple[dict[str, Parameter], list[str]]:
         if is_held:
             held_names.append(parameter.name)
         parameters[parameter.name] = Parameter(
-            float(prior_value if is_held else values[k]),
-            float(half_width[k]),
-            parameter.unit,
+            value=float(prior_value if is_held else values[k]),
+            ci95=float(half_width[k]),
+            unit=parameter.unit,
             observable=not is_held,
             prior=float(prior_value),
             source="prior" if is_held else None,
@@ -342,8 +349,8 @@ def _vague_tilt_fault(fit: Fit, top: Top, half_tilt: float) -> str:
     :param half_tilt: half width of the 95 % interval of the tilt [rad].
     """
     probe_data = fit.readings.probed
-    # points with a mass were probed under its weight: they are no cuts
-    rows = np.flatnonzero((probe_data.base == top.base) & (probe_data.mass == 0.0))
+    # readings of a gauge under a weight are no cuts
+    rows = np.flatnonzero((probe_data.base == top.base) & ~probe_data.is_gauge)
     count = len({probe_data.name[row].partition(".")[0] for row in rows})  # a name is such as T01.wall
     frame = Placement.of_base(top.base).title
     features = "one feature is too few" if count == 1 else f"{count} features so close together are too few"
@@ -394,8 +401,8 @@ def _verdict(fit: Fit, outliers: tuple[str, ...]) -> Verdict:
     elif not fit.free[:size].any() and fit.sigma[-1] > HELD_SHARE:
         reason = "the part determines neither a parameter of the robot nor the forces"
     if reason:
-        return Verdict(True, f"NOT TO BE TRUSTED: {reason}")
-    return Verdict(False, "the model may be used, within its bound")
+        return Verdict(refused=True, line=f"NOT TO BE TRUSTED: {reason}")
+    return Verdict(refused=False, line="the model may be used, within its bound")
 
 
 def _remarks(fit: Fit, held_names: list[str], outliers: tuple[str, ...]) -> list[str]:
@@ -484,6 +491,8 @@ def model_file(fit: Fit, prior: ModelFile, process: Process, source: str) -> Mod
 def _with_values(content: dict[str, Any], fit: Fit, values: Array, half_width: Array, source: str) -> dict[str, Any]:
     """Return the tables of `model.toml` with the identified values in place of the prior's.
 
+    Parameters that the part does not determine keep their entries.
+
     :param content: the tables of the prior as plain data; they are changed in place.
     :param values: (p,) parameters in the units of the file, and `half_width` (p,) of their 95 % intervals.
     :param source: origin of the values.
@@ -521,7 +530,7 @@ def _discrepancy(fit: Fit) -> tuple[Array, Array]:
     if prior_discrepancy is None:
         return load, u95
     all_loads = np.union1d(load, prior_discrepancy.load)
-    wrench = np.pad(all_loads[:, None], ((0, 0), (0, 5)))
+    wrench = np.pad(all_loads[:, None], ((0, 0), (0, 5)))  # only the size of the force counts
     return all_loads, np.maximum(Discrepancy(load, u95).at(wrench), prior_discrepancy.at(wrench))
 
 
@@ -532,7 +541,7 @@ def _forces_entry(fit: Fit, process: Process, source: str) -> ForcesEntry | None
     """
     # Ktc, Krc, Kac, Kte, Kre, Kae, mc, σ [%]; empty if the axial force is unknown
     numbers = cutting_law(_scaled_law(fit, process, source), process.path).numbers
-    if not numbers or not numbers[-1] > 0.0:
+    if not numbers or not numbers[-1] > 0.0:  # no axial force, or σ 0: a certain scale
         return None
     return ForcesEntry(
         source=source,

@@ -21,9 +21,11 @@ class Prior(Struct, frozen=True, eq=False):
 
     :param robot: the model.
     :param parameters: (p,) parameters of its covariance.
-    :param order: (o,) these parameters, and the linear parameters that their values in files depend on.
-    :param by_file: (o, p) derivatives of the linear values (SI) of `order` by the values of `parameters` in files.
-    :param covariance: (p + 1, p + 1) of the parameters in units of files, and of the scale of the forces.
+    :param order: (o,) these parameters, and the further ones that their values in model.toml depend on; the deflection
+        is linear in the SI values of all of them.
+    :param by_file: (o, p) derivatives of the SI values of `order` by the values of `parameters` in model.toml.
+    :param covariance: (p + 1, p + 1) of the parameters, in the units of model.toml, and last of the scale of the
+        forces: the factor of the real forces over the computed ones.
     """
 
     robot: RobotModel
@@ -49,7 +51,7 @@ class Prior(Struct, frozen=True, eq=False):
             )
         parameters = robot.covariance.parameters
         order = tuple(
-            dict.fromkeys([*parameters, *(p for stated_parameter in parameters for p in stated_parameter.partners())])
+            dict.fromkeys([*parameters, *(partner for parameter in parameters for partner in parameter.partners())])
         )
         slopes = file_slopes(order, {parameter: robot.value(parameter) for parameter in order})
         by_file = np.asarray(np.linalg.inv(slopes)[:, [order.index(parameter) for parameter in parameters]])
@@ -62,12 +64,17 @@ class Prior(Struct, frozen=True, eq=False):
 
     @property
     def sigma(self) -> Array:
-        """(p + 1,) prior standard deviations of parameters, units of files, and of the scale of the forces."""
+        """(p + 1,) prior standard deviations of parameters, units of model.toml, and of the scale of the forces."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
+    def has_forces_of_model(self) -> bool:
+        """Whether the model was identified under the same cutting law: its parameters and the scale are correlated."""
+        return bool(self.covariance[-1, :-1].any())
+
+    @property
     def values(self) -> Array:
-        """(p,) values of the parameters in units of files."""
+        """(p,) values of the parameters in units of model.toml."""
         robot_values = {parameter: self.robot.value(parameter) for parameter in self.order}
         return np.array([parameter.file_value(robot_values)[0] for parameter in self.parameters])
 
@@ -81,9 +88,9 @@ class Prior(Struct, frozen=True, eq=False):
         return replace(self, covariance=self.covariance + np.diag(self.drift**2))
 
     def robot_with_change(self, z: Array) -> RobotModel:
-        """Return the robot with its parameters changed by z (p,), in units of files.
+        """Return the robot with its parameters changed by z (p,), in units of model.toml.
 
-        A positive compliance stays at `MIN_SHARE` of its value or above.
+        A positive compliance stays at `MIN_SHARE` of its value or above, because a negative one has no equilibrium.
         """
         changes = dict(zip(self.order, (self.by_file @ z).tolist(), strict=True))
         values = {}

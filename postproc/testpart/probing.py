@@ -15,7 +15,7 @@ from postproc.chunks import Columns
 from postproc.decimals import without_negative_zero
 from postproc.errors import MeasurementError
 from postproc.frames import M_PER_MM, MM_PER_M, Array, norm
-from postproc.program import Ints
+from postproc.program import Bools, Ints
 from postproc.testpart.features import Placement, Program
 
 PROGRAM, BASE = "program", "base"
@@ -88,6 +88,11 @@ class ProbedSurfaces(Columns, frozen=True, eq=False):
         return len(self.name)
 
     @property
+    def is_gauge(self) -> Bools:
+        """(n,) True where a gauge was read under a weight; False where a cut surface was probed."""
+        return np.asarray(self.mass > 0.0)
+
+    @property
     def group(self) -> Ints:
         """(n,) number of the feature of each point: the name up to the first dot."""
         features = [name.partition(".")[0] for name in self.name]
@@ -107,15 +112,16 @@ def read(path: Path) -> ProbedSurfaces:
     """
     numbers, texts, lines = files.read_csv(
         path,
-        ("feature", *COLUMNS),
-        (PROGRAM, BASE, MASS),
-        MeasurementError,
-        ("feature", PROGRAM),
-        ("deviation_mm", BASE, MASS),
+        required_columns=("feature", *COLUMNS),
+        optional=(PROGRAM, BASE, MASS),
+        error=MeasurementError,
+        text_columns=("feature", PROGRAM),
+        may_be_empty=("deviation_mm", BASE, MASS),
     )
     mass = _masses(numbers, lines, path)
     base = np.nan_to_num(numbers.get(BASE, np.full(len(lines), -1.0)), nan=-1.0)  # −1: `[base]` of the cell
-    if (PROGRAM in texts) != (BASE in numbers) or (base % 1.0).any():
+    has_fraction = bool((base % 1.0).any())
+    if (PROGRAM in texts) != (BASE in numbers) or has_fraction:  # the two columns go together
         advice = "Keep the columns program and base."
         raise MeasurementError("the rows do not name program and placement", file=str(path), line=1, advice=advice)
     is_top = np.array([name.rpartition(".")[2] == TOP for name in texts["feature"]], dtype=bool)
@@ -181,7 +187,7 @@ def _touch_off_points(rows: ProbedSurfaces) -> TouchOff:
 
     :raises MeasurementError: the normal of a row is not Z, or it states the mass of a weight.
     """
-    is_invalid = (rows.normal[:, 2] < 1.0 - _NORMAL_TOLERANCE) | (rows.mass > 0.0)
+    is_invalid = (rows.normal[:, 2] < 1.0 - _NORMAL_TOLERANCE) | rows.is_gauge
     if is_invalid.any():
         first = int(np.argmax(is_invalid))
         raise MeasurementError(
@@ -208,7 +214,7 @@ def table(parts: dict[Placement, Program]) -> bytes:
     If weights are hung on the tool, there is a column of masses. If the block has a placement other than `[base]`, each
     row names its program and placement.
 
-    :param parts: the program of each placement of the block.
+    :param parts: the program of each placement of the block, with its points.
     """
     has_weight = any(part.mass.any() for part in parts.values())
     has_placements = any(placement.number for placement in parts)

@@ -81,17 +81,19 @@ class Top(Struct, frozen=True, eq=False):
 def top_plane(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     """Return the plane through the touch-off points of a placement, by least squares.
 
+    :param base: number of the placement: n of `[base_data.n]` of the cell, −1 for its `[base]`.
     :param sigma: noise of the probe [m].
     :param file: the table of the points.
     :raises MeasurementError: there are fewer than three touch-off points, or they are on a line.
     """
     touches = touch_off.of_placement(base)
     count = len(touches.name)
-    place_note = "" if base < 0 else f" for [base_data.{base}]"
+    is_cell_base = base < 0
+    placement_note = "" if is_cell_base else f" for [base_data.{base}]"
     if count < _FEWEST_TOUCHES:
         raise MeasurementError(
-            f"{count or 'no'} touch-off points{place_note}: whether the program ran too high or too low over the block "
-            "is not known, so the depth of its cuts is not known either",
+            f"{count or 'no'} touch-off points{placement_note}: whether the program ran too high or too low over the "
+            "block is not known, so the depth of its cuts is not known either",
             file=file,
             advice="Probe at least three points of the uncut top, far apart, in the clamping of the other points. Fill "
             "in the rows T01.top, T02.top …, or add rows: source_line and t 0; X, Y, Z of a point of the top as "
@@ -101,7 +103,7 @@ def top_plane(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     smallest_spread = float(np.linalg.svd((touches.point - origin)[:, :2], compute_uv=False)[-1]) / np.sqrt(count)
     if smallest_spread < _SMALLEST_SPREAD:
         advice = "Probe points near three corners of the block."
-        raise MeasurementError(f"the touch-off points{place_note} are on one line", file=file, advice=advice)
+        raise MeasurementError(f"the touch-off points{placement_note} are on one line", file=file, advice=advice)
     variance = sigma**2 + UNEVENNESS**2
     terms = np.column_stack([np.ones(count), (touches.point - origin)[:, :2]])
     covariance = variance * np.linalg.inv(terms.T @ terms)
@@ -109,6 +111,7 @@ def top_plane(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     residual = touches.deviation - terms @ coefficients
     surplus = count - _FEWEST_TOUCHES
     misfit = float(np.sqrt(residual @ residual / (surplus * variance))) if surplus else 0.0
+    # points that are farther from the plane than their noise allows make it more uncertain
     return Top(base, touches.name, origin, coefficients, max(1.0, misfit**2) * covariance, misfit)
 
 
@@ -155,7 +158,7 @@ class Readings(Columns, frozen=True, eq=False):
         """
         datum, tops = np.zeros(len(points)), []
         for base in dict.fromkeys(points.base.tolist()):
-            rows = np.flatnonzero((points.base == base) & (points.mass == 0.0))
+            rows = np.flatnonzero((points.base == base) & ~points.is_gauge)
             if len(rows):
                 tops.append(top_plane(points.touch_off, base, sigma, points.file))
                 datum[rows] = tops[-1].deviation(points.point[rows], points.normal[rows])
@@ -164,16 +167,17 @@ class Readings(Columns, frozen=True, eq=False):
     @property
     def least_depth(self) -> float:
         """Smallest depth of a probed point below the top [m]; of floors alone if any was probed, inf without points."""
-        top = {top.base: top.origin[2] for top in self.tops}
-        depth = np.array([top.get(base, np.inf) for base in self.probed.base.tolist()]) - self.probed.point[:, 2]
-        is_floor = (self.surfaces.wall == 0.0) & (self.probed.mass == 0.0)
-        is_counted = is_floor if is_floor.any() else self.probed.mass == 0.0
+        top_of_base = {top.base: top.origin[2] for top in self.tops}
+        top_z = np.array([top_of_base.get(base, np.inf) for base in self.probed.base.tolist()])
+        depth = top_z - self.probed.point[:, 2]
+        is_floor = ~self.surfaces.is_wall & ~self.probed.is_gauge
+        is_counted = is_floor if is_floor.any() else ~self.probed.is_gauge
         return float(depth[is_counted].min(initial=np.inf))
 
     @property
     def _cut_weight(self) -> Array:
         """(n,) 1 for cut surfaces, 0 for readings of a gauge, which do not depend on the position of the part."""
-        return np.asarray(self.probed.mass == 0.0, dtype=float)
+        return np.asarray(~self.probed.is_gauge, dtype=float)
 
     def _position_slopes(self, direction: Array) -> Array:
         """Return the derivatives (n, 6 b) [m] of the readings by the position of the cuts in each of b placements.
@@ -181,13 +185,16 @@ class Readings(Columns, frozen=True, eq=False):
         Each placement has six columns: shifts along X, Y, Z in units of `POSITION_SIGMA`, then turns about X, Y, Z in
         units of `ROTATION_SIGMA`.
 
-        :param direction: (n, 3) direction in which a displacement is seen at each point.
+        :param direction: (n, 3) direction in which a displacement is seen at each point, see `directions`.
         """
         columns = []
         for base in self._bases:
-            is_here = (self.probed.base == base)[:, None]
-            arm = self.probed.point - self.probed.point.mean(axis=0, where=is_here)
-            columns += [POSITION_SIGMA * direction * is_here, ROTATION_SIGMA * np.cross(arm, direction) * is_here]
+            is_in_placement = (self.probed.base == base)[:, None]
+            arm = self.probed.point - self.probed.point.mean(axis=0, where=is_in_placement)
+            columns += [
+                POSITION_SIGMA * direction * is_in_placement,
+                ROTATION_SIGMA * np.cross(arm, direction) * is_in_placement,
+            ]
         return np.concatenate(columns, axis=1)
 
     @property
@@ -196,7 +203,9 @@ class Readings(Columns, frozen=True, eq=False):
         return list(dict.fromkeys(self.probed.base.tolist()))
 
     def directions(self, by_lift: Array) -> Array:
-        """Return the directions (n, 3) in which displacements of the path are seen.
+        """Return the vectors (n, 3) by which a displacement of the path is multiplied to get the deviation it causes.
+
+        It is the normal of the surface, and along Z also the deflection that changes with the depth of cut.
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         """
@@ -214,8 +223,9 @@ class Readings(Columns, frozen=True, eq=False):
         direction = self.directions(by_lift)
         position = self._position_slopes(direction)
         same_group = probe_data.group[:, None] == probe_data.group[None, :]
-        radius = RADIUS_ERROR * self.surfaces.wall
-        covariance = position @ position.T + np.outer(radius, radius)
+        by_radius = RADIUS_ERROR * self.surfaces.is_wall
+        covariance = position @ position.T + np.outer(by_radius, by_radius)
+        # features are cut apart from each other, so their paths and their patches of the top are independent
         covariance += same_group * (
             PATH_ERROR**2 * (direction @ direction.T) + UNEVENNESS**2 * np.outer(by_lift, by_lift)
         )
@@ -229,23 +239,24 @@ class Readings(Columns, frozen=True, eq=False):
 
         :param by_lift: (n,) derivative of the deviations by the lift of the program over the block.
         :param precision: (n, n) inverse of the covariance of the deviations.
-        :param target: (n,) deviations less those that the model predicts at no lift [m].
+        :param target: (n,) deviations less those that the model predicts for a program without lift [m].
         """
         position = self._position_slopes(self.directions(by_lift))
-        value = position.T @ precision @ target
-        covariance = np.eye(len(value)) - position.T @ precision @ position
+        # posterior mean and covariance of the position, whose prior has unit variances
+        shift = position.T @ precision @ target
+        covariance = np.eye(len(shift)) - position.T @ precision @ position
         lifts = []
         for k, base in enumerate(self._bases):
             # of the six columns of a placement: along Z, about X, about Y
-            free = 6 * k + np.array([2, 3, 4])
+            columns = 6 * k + np.array([2, 3, 4])
             # height by the shift, slope along X by the turn about −Y, slope along Y by the turn about X
             terms = np.array([[POSITION_SIGMA, 0.0, 0.0], [0.0, 0.0, -ROTATION_SIGMA], [0.0, ROTATION_SIGMA, 0.0]])
             origin = self.probed.point.mean(axis=0, where=(self.probed.base == base)[:, None])
-            spread = terms @ covariance[np.ix_(free, free)] @ terms.T
+            lift_covariance = terms @ covariance[np.ix_(columns, columns)] @ terms.T
             for top in self.tops:
                 if top.base == base:
                     by_top = top.terms(origin[None])[0]
-                    spread[0, 0] += by_top @ top.covariance @ by_top
-                    spread[1:, 1:] += top.covariance[1:, 1:]
-            lifts.append(Lift(base, origin, terms @ value[free], spread))
+                    lift_covariance[0, 0] += by_top @ top.covariance @ by_top
+                    lift_covariance[1:, 1:] += top.covariance[1:, 1:]
+            lifts.append(Lift(base, origin, terms @ shift[columns], lift_covariance))
         return tuple(lifts)

@@ -24,7 +24,7 @@ SIGMA = 5e-6
 NAMES = ("F01.left", "F01.right", "F01.floor", "F02.left", "F02.floor", "F03.left", "F03.floor", "W01.gauge")
 BASES = np.array([-1, -1, -1, -1, -1, 2, 2, -1])
 MASS = np.array([0.0, 0, 0, 0, 0, 0, 0, 120.0])
-WALL = np.array([1.0, 1, 0, 1, 0, 1, 0, 0])
+WALL = np.array([1, 1, 0, 1, 0, 1, 0, 0], dtype=bool)
 COUNT = len(NAMES)
 
 
@@ -127,7 +127,7 @@ def test_a_prediction_has_the_derivatives_of_its_surfaces(monkeypatch):
     """The smaller of the two deviations of a surface counts; a gauge is displaced by what it reads."""
     rng = np.random.default_rng(6)
     weight = rng.normal(size=(COUNT, 2, 6))
-    read = replace(READINGS, surfaces=replace(READINGS.surfaces, weight=weight))
+    read = replace(READINGS, surfaces=replace(READINGS.surfaces, by_twist=weight))
     twist, by_scale, by_lift = 1e-4 * rng.normal(size=(3, COUNT, 6))
     by_parameter, by_file, lift = rng.normal(size=(COUNT, 6, 4)), rng.normal(size=(4, 2)), 1e-4 * rng.normal(size=COUNT)
     calls = []
@@ -238,7 +238,7 @@ def test_the_flattest_cut_is_that_of_floors_below_the_touch_off_points():
     point[:, 2] = -1e-3 * np.array([0.2, 9, 3, 0.1, 4, 9, 1.5, -7])
     read = replace(READINGS, probed=replace(READINGS.probed, point=point), tops=tops)
     assert read.least_depth == pytest.approx(4e-3)  # F01.floor: 3 mm below 1 mm
-    walls = replace(read, surfaces=replace(read.surfaces, wall=np.ones(COUNT)))
+    walls = replace(read, surfaces=replace(read.surfaces, is_wall=np.ones(COUNT, dtype=bool)))
     assert walls.least_depth == pytest.approx(1.1e-3)
     without = replace(read, tops=tops[1:])
     assert without.least_depth == pytest.approx(6.5e-3)
@@ -303,7 +303,7 @@ def test_parameters_that_stay_as_uncertain_as_before_are_held_but_not_the_forces
         assert found is None
         return
     assert (found.free.tolist(), found.z.tolist()) == ([False, True, True], [0.0, -0.4])
-    assert fitting._with_held_parameters(replace(found, local=start.local), whole) is None
+    assert fitting._with_held_parameters(replace(found, linear_model=start.linear_model), whole) is None
 
 
 def test_the_likeness_of_deviations_is_a_cosine_in_units_of_their_noise():
@@ -362,7 +362,10 @@ def test_a_model_is_compared_by_the_change_that_explains_the_readings_best(discr
     if tied is not None:
         covariance[-1, tied] = covariance[tied, -1] = -0.05
     stated = None if discrepancy is None else Discrepancy(np.array([1.0, 1e4]), np.full(2, discrepancy))
-    prior = SimpleNamespace(covariance=covariance, drift=prior.drift, robot=SimpleNamespace(discrepancy=stated))
+    prior = SimpleNamespace(
+        covariance=covariance, drift=prior.drift, has_forces_of_model=bool(covariance[-1, :-1].any()),
+        robot=SimpleNamespace(discrepancy=stated),
+    )  # fmt: skip
     found = fit.compare_with_prior(prior)
     unmodelled = 0.01 * fit.displacement
     if stated is not None and tied is None:

@@ -54,7 +54,7 @@ def test_a_feature_is_cut_by_these_moves(side):
     ]  # fmt: skip
     moves = features.passes(Kind(3e-3, side), CUTTING)
     np.testing.assert_allclose(1e3 * np.array([move.end for move in moves]), [row[:3] for row in expected], atol=1e-9)
-    assert [(move.feed, move.name) for move in moves] == [row[3:] for row in expected]
+    assert [(move.feed_share, move.name) for move in moves] == [row[3:] for row in expected]
 
 
 @pytest.mark.parametrize("side", [0, 1, -1])
@@ -143,7 +143,7 @@ NOT_MADE = {
 def test_a_surface_that_the_tool_makes_is_found(kind):
     point, normal, wall = MADE[kind]
     found = surfaces((point, normal))
-    assert found.wall.tolist() == [wall]
+    assert found.is_wall.tolist() == [wall]
     assert found.t.tolist() == [0.5]
     assert not found.weight_wrench.any()
     np.testing.assert_allclose(found.point[0], 1e-3 * np.array(point))
@@ -162,7 +162,7 @@ def test_a_gauge_reads_anywhere_at_the_end_of_a_rapid_move_and_its_weight_is_kno
     """Mass times gravity, down; a displacement d and a rotation r move the point at the lever l by d + r × l."""
     found = surfaces(((30, 7, 90), (0, 0, -1)), line=6, t=1.0, mass=[80.0])
     np.testing.assert_allclose(found.weight_wrench, [[0, 0, -GRAVITY * 80.0, 0, 0, 0]])
-    assert found.wall.tolist() == [0.0]
+    assert found.is_wall.tolist() == [False]
     twist = np.array([1e-4, 2e-4, -3e-4, 2e-3, -1e-3, 5e-4])
     lever = 1e-3 * np.array([-10.0, 7.0, 80.0])  # the tip is at (40, 0, 10)
     np.testing.assert_allclose(found.deviation(twist[None])[0], -(twist[:3] + np.cross(twist[3:], lever))[2], rtol=1e-9)
@@ -221,7 +221,7 @@ def test_the_information_of_a_feature_is_that_of_its_readings_about_all_unknowns
         by_scale=1e-4 * rng.normal(size=(rows, 6)), by_height=0.1 * rng.normal(size=(rows, 6)),
     )  # fmt: skip
     weight = np.repeat(rng.normal(size=(rows, 1, 6)), 2, axis=1)
-    wall, none = np.array([1.0, 1, 0, 1, 0, 0]), np.zeros(rows)
+    wall, none = np.array([1, 1, 0, 1, 0, 0], dtype=bool), np.zeros(rows)
     where = Surfaces(none.astype(int), none, weight, wall, np.zeros((rows, 6)), np.zeros((rows, 3)))
     normal, arm = rng.normal(size=(rows, 3)), 0.1 * rng.normal(size=(rows, 3))
     survey, points = design._Survey(PRIOR, CUTTING, 5e-6), design._ProbedPoints(where, arm, normal, count)

@@ -33,7 +33,7 @@ def test_features_that_do_not_touch_leave_the_wall_and_parallel_ones_are_no_furt
         for j in np.flatnonzero(apart[i, :i]):
             assert _distance(one, swept[j]) > CUTTING.diameter + WALL
     assert 0.1 < apart.mean() < 0.9
-    least = CUTTING.diameter + 2.0 * CUTTING.trims[-1][0] + WALL
+    least = CUTTING.diameter + 2.0 * CUTTING.trims[-1].wall + WALL
     for pitch, expected in ((least - 1e-5, False), (least + 0.1 * CUTTING.diameter, True)):
         pair = tuple(Feature(kinds[0], 0.05 - pitch * k * np.sin(0.4), pitch * k * np.cos(0.4), 0.4) for k in (0, 1))
         assert design._apart_features(pair, CUTTING)[0, 1] == expected

@@ -105,7 +105,7 @@ def test_the_model_predicts_the_surfaces_of_both_placements(folder):
         assert np.abs(read.deviation[here]).max() > 3e-4
         assert np.sqrt(np.mean(off[here] ** 2)) < 4e-6
     added = given.part_covariance(np.zeros(len(read)))
-    common = np.outer(given.surfaces.wall, given.surfaces.wall) * 5e-5**2  # the radius of the tool
+    common = np.outer(given.surfaces.is_wall, given.surfaces.is_wall) * 5e-5**2  # the radius of the tool
     across = np.ix_(read.base == -1, read.base == 4)
     np.testing.assert_allclose(added[across], common[across], atol=1e-18)  # each placement has a position of its own
 

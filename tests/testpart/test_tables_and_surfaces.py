@@ -268,9 +268,9 @@ def test_deviations_are_those_of_a_rigid_tool_that_is_displaced_and_turned():
     radius, travel, axis = 5e-3, np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
     normal = np.array([[0.0, -1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 1.0]])
     lever = np.array([[0.0, radius, 1.5e-3], [0.0, -radius, 1.5e-3], [0.0, 3e-3, 0.0], [0.0, 0.0, 0.0]])
-    weight = cut.twist_weights(normal, lever, np.tile(axis, (4, 1)), np.tile(travel, (4, 1)), radius)
+    weight = cut.twist_derivatives(normal, lever, np.tile(axis, (4, 1)), np.tile(travel, (4, 1)), radius)
     none = np.zeros(4)
-    where = Surfaces(none.astype(int), none, weight, none, np.zeros((4, 6)), lever)
+    where = Surfaces(none.astype(int), none, weight, none.astype(bool), np.zeros((4, 6)), lever)
     for _ in range(10):
         twist = 1e-4 * rng.normal(size=6)
         value, slopes = where.deviation(np.tile(twist, (4, 1)))
@@ -290,7 +290,7 @@ def test_weights_turn_with_their_axes():
     rng = np.random.default_rng(5)
     rotation = np.linalg.qr(rng.normal(size=(3, 3, 3)))[0]
     weight, twist = rng.normal(size=(3, 2, 6)), rng.normal(size=6)
-    turned = cut.rotated_weights(rotation, weight)
+    turned = cut.rotated_derivatives(rotation, weight)
     for n in range(3):
         moved = np.concatenate([rotation[n] @ twist[:3], rotation[n] @ twist[3:]])
         np.testing.assert_allclose(turned[n] @ moved, weight[n] @ twist)

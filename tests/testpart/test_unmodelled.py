@@ -40,7 +40,7 @@ def _readings(n):
     probed = ProbedSurfaces(
         names, number, np.zeros(n), none, none, np.zeros(n), np.ones(n), ("",) * n, np.full(n, -1), number, "probed.csv"
     )
-    where = Surfaces(number, np.zeros(n), np.zeros((n, 2, 6)), np.zeros(n), np.zeros((n, 6)), none)
+    where = Surfaces(number, np.zeros(n), np.zeros((n, 2, 6)), np.zeros(n, dtype=bool), np.zeros((n, 6)), none)
     return Readings.of(probed, where, SIGMA), LinearPrediction(
         np.zeros(n), np.zeros((n, 2)), np.zeros(n), np.full(n, MOVED)
     )
