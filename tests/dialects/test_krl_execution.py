@@ -679,13 +679,13 @@ def test_a_for_that_counts_by_a_real_is_refused_with_the_name_of_its_counter():
 def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
     program = read(body("FOR I=1 TO 3", FULL, "ENDFOR", "LIN P[I]"), COUNTERS_DAT)
     trace, edits = program.layout.execution.trace, Replacements()
-    rows = program.layout.line[:3].tolist()
+    rows = program.layout.trace_row[:3].tolist()
     assert len(set(trace.starts(np.array(rows)).tolist())) == 1
-    begin, same = trace.starts(program.layout.line[2:4]).tolist()
+    begin, same = trace.starts(program.layout.trace_row[2:4]).tolist()
     for row, text in zip(rows, ("1", "2", "1"), strict=True):
         start = begin + FULL.index("X 0") + 2
         edits.add(start, start + 1, text, row)
-    edits.add(same, same + 3, "LIN", program.layout.line.item(3))  # what is there
+    edits.add(same, same + 3, "LIN", program.layout.trace_row.item(3))  # what is there
     edits.add(begin, begin, "HALT\r\n", rows[1])
     edited = edited_rows(trace, edits)
     assert edited.rows.tolist() == rows
@@ -887,7 +887,7 @@ def test_the_trace_has_no_text_but_that_of_the_files():
     assert len(execution.trace) > 50
     assert execution.trace.sources == (execution.main.source,)
     assert execution.trace.line.max() <= len(execution.main.source.starts)
-    starts = [execution.main.source.starts[line - 1] for line in execution.trace.line[program.layout.line - 1]]
+    starts = [execution.main.source.starts[line - 1] for line in execution.trace.line[program.layout.trace_row - 1]]
     assert program.layout.keyword.tolist() == starts
 
 

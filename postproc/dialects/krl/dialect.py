@@ -43,8 +43,8 @@ _NUMBERED_FRAME = re.compile(r"\b(BASE|TOOL)_(?:DATA[ \t]*\[[ \t]*|NO[ \t]+)([0-
 def _part_names(path: Path, names: Sequence[str]) -> list[str]:
     """Return the names, without extension, of the further files of a program in several files.
 
-    First the files that the main program calls, then the files with its routines. The list is empty for a program in
-    one file, and if a file cannot be read.
+    Such a program is ``partMain.src``, which calls ``part1.src``, ``part2.src`` …; files with its routines have the
+    numbers behind. The list is empty for a program in one file, and if a file cannot be read.
 
     :param names: names of the files in the folder of `path`.
     """
@@ -69,7 +69,8 @@ def _part_names(path: Path, names: Sequence[str]) -> list[str]:
 def _main_program_of(part: Document) -> str | None:
     """Return the name of the main program that a file is a part of; None if it is no part, or a file cannot be read.
 
-    A comment in the part names the main program, or a main program next to it calls the part.
+    A comment in the part names the main program, or a main program next to it calls the part: ``partMain.src`` calls
+    ``part1.src``, ``part2.src`` …
     """
     if (stated_main := stated_main_program(part)) is not None:
         return stated_main
@@ -121,18 +122,21 @@ class _Writer:
         A KRL program keeps its own text, see `write.rewrite`. Another program is written as a new one, see
         `write.divide_into_modules`. Both are divided into several files if they are long, see `write.split_files`.
         """
-        if isinstance(program.layout, Layout):
+        if isinstance(program.layout, Layout):  # it was read from KRL
             return self._rewrite(program, program.layout, targets, cell, comments)
         new_program = write.divide_into_modules(program, targets, joints, cell, comments)
-        if new_program.modules is not None:
+        if new_program.modules is not None:  # larger than the controller's memory: divided already
             return new_program
         return write.split_files(program.name, (), new_program, cell.output.lines_per_file)
 
     def _rewrite(
         self, program: Program, layout: Layout, targets: Targets, cell: Cell, comments: TargetForces | None
     ) -> WrittenProgram:
-        """Return a KRL program with corrected targets; its own files may be divided, files of subprograms are not."""
-        limit = cell.output.lines_per_file
+        """Return a KRL program with corrected targets; its own files may be divided, files of subprograms are not.
+
+        Files of subprograms may have other callers, which know them by their names.
+        """
+        limit = cell.output.lines_per_file  # 0: files are never divided
         called_names = {document.name for document in layout.execution.files}
         rewritten = write.rewrite(program, targets, comments)
         own_documents, called_documents = (
@@ -227,7 +231,10 @@ class Krl:
         program: str,
         other_files: OtherFiles,
     ) -> SubprogramCopies | str:
-        """Return the files of a program with other names for some of its subprograms, see `write.subprogram_copies`.
+        """Return the files of a program with other names for some of its subprograms.
+
+        So several programs in one folder can each have a subprogram of one name that is corrected for them. For the
+        parameters see `write.subprogram_copies`.
 
         :returns: the reason if the names cannot be changed.
         """
@@ -236,13 +243,14 @@ class Krl:
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return a program, see `read.reader`. A program in several files is read as one, see `language.parts`.
+        """Return a program. A program in several files (``partMain.src``, ``part1.src`` …) is read as one text.
 
         :param documents: the `.src` first, then its companions.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
         :param name: name of the program.
-        :raises ProgramError: see `read.reader`; a file of the program is missing; the main file is only a part of a
-            program and cannot be read without the other parts.
+        :raises ProgramError: the program is faulty, or moves in a way that cannot be corrected (`read.reader` lists the
+            reasons); a file of the program is missing; the main file is only a part of a program and cannot be read
+            without the other parts.
         """
         if (whole_program := joined_program(documents)) is not None:
             return _read_joined(whole_program, documents, cell, forward_kinematics, name)
@@ -271,7 +279,7 @@ def _read_joined(
     :param documents: files of the program and of its subprograms, the main file first.
     :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
     :param main_name: name of the main program, with `MAIN`.
-    :raises ProgramError: see `read.reader`.
+    :raises ProgramError: the program is faulty, or moves in a way that cannot be corrected.
     """
     stems = {PurePath(file).stem.lower() for file, _ in whole_program.files}
     subprograms = [document for document in documents if PurePath(document.name).stem.lower() not in stems]
@@ -281,7 +289,7 @@ def _read_joined(
         raise whole_program.error_in_file(cause) from None
     layout = program.layout
     if isinstance(layout, Layout):
-        called_files = layout.execution.files
+        called_files = layout.execution.files  # of the routines whose calls are followed
         called_names = {document.name for document in called_files}
         documents = [*(document for document in documents if document.name not in called_names), *called_files]
         layout = replace(layout, documents=(*whole_program.documents, *called_files), files=whole_program.files)
@@ -290,6 +298,7 @@ def _read_joined(
         name=PurePath(whole_program.documents[0].name).stem[: -len(MAIN)],
         documents=tuple(documents),
         unresolved=tuple(whole_program.motion_in_file(motion) for motion in program.unresolved),
+        # parts are written with the program: only subprograms must be there unchanged
         needed=tuple(file for file in program.needed if Path(file.path).stem.lower() not in stems),
         layout=layout,
     )
@@ -348,7 +357,7 @@ def _file_calls(path: Path) -> _FileCalls:
     callable_names = {name}
     if all(routine.is_empty for routine in routines if routine.name == name):
         callable_names |= {routine.name for routine in routines if routine.is_global}
-    called_names = (
-        scan.called_names(scan.code_without_comments(text)) if path.stem.lower() != _SELECTION_FILE else set[str]()
-    )
+    # programs that CELL.SRC calls are main programs: its calls do not count
+    is_selection_file = path.stem.lower() == _SELECTION_FILE
+    called_names = set[str]() if is_selection_file else scan.called_names(scan.code_without_comments(text))
     return _FileCalls(frozenset(called_names), frozenset(callable_names))

@@ -36,10 +36,10 @@ class Elements(Struct, frozen=True, eq=False):
 
 
 class Layout(Struct, frozen=True, eq=False):
-    """The text of M motions. Offsets count characters from the beginning of the file of a motion, see `source`.
+    """Where the texts of M motions are. Offsets count characters from the beginning of the file of a motion (`source`).
 
     :param execution: the program in the order in which it runs.
-    :param line: (M,) 1-based rows of the trace.
+    :param trace_row: (M,) 1-based rows of the trace (`execution.trace`): the lines in execution order.
     :param notes: rows of the trace with the force comments of the program, in order.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] that the text commands, missing ones filled in with what the
         controller keeps; for axis and relative targets the Cartesian numbers they amount to.
@@ -79,7 +79,7 @@ class Layout(Struct, frozen=True, eq=False):
     """
 
     execution: Execution
-    line: Ints
+    trace_row: Ints
     notes: tuple[int, ...]
     numbers: Array
     is_missing: Bools
@@ -129,23 +129,27 @@ class Layout(Struct, frozen=True, eq=False):
         :param rows: (n,) the motions.
         """
         trace = self.execution.trace
-        if trace.is_file and not self.files:
+        if trace.is_file and not self.files:  # lines of the program as it was given
             return None
         names = tuple(source.document.name for source in trace.sources)
-        file, line = (column[self.line[rows] - 1].astype(np.int64) for column in (trace.file, trace.line))
+        file, line = (column[self.trace_row[rows] - 1].astype(np.int64) for column in (trace.file, trace.line))
         if self.files:  # lines of the joined text are numbered through all files
             first_lines = np.array([number for _, number in self.files])
-            in_main = np.array([name == self.documents[0].name for name in names])[file]
-            part = np.searchsorted(first_lines, line, side="right") - 1  # the last file that begins at or before it
-            file = np.where(in_main, len(names) + part, file)  # names of the parts follow the other names
-            line = np.where(in_main, line - first_lines[part] + 1, line)
+            in_joined_text = np.array([name == self.documents[0].name for name in names])[file]
+            # the last of the joined files that begins at or before the line
+            joined_file = np.searchsorted(first_lines, line, side="right") - 1
+            file = np.where(in_joined_text, len(names) + joined_file, file)  # their names follow the other names
+            line = np.where(in_joined_text, line - first_lines[joined_file] + 1, line)
             names = (*names, *(name for name, _ in self.files))
         return Places(names, file, line)
 
     def source(self, row: int) -> Source:
-        """Return the file that contains motion `row`."""
-        return self.execution.trace.source(self.line.item(row))
+        """Return the file that contains a motion.
+
+        :param row: index of the motion, from 0.
+        """
+        return self.execution.trace.source(self.trace_row.item(row))
 
     def orientation_types(self, rows: Ints) -> NDArray[np.str_]:
-        """Return `$ORI_TYPE` (n,) of motions `rows` (n,)."""
+        """Return `$ORI_TYPE` (n,), such as ``#VAR``, of motions (n,)."""
         return np.asarray(np.array(ORIENTATIONS)[self.orientation[rows]])

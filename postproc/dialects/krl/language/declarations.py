@@ -110,15 +110,15 @@ def structure(source: Source, start: int, stop: int) -> Structure | None:
 
     :raises ProgramError: brackets are not balanced.
     """
-    pieces = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
-    # each piece is a list of words between commas
-    while pieces and pieces[0][:1] and pieces[0][0].upper() in ("GLOBAL", "DECL"):
-        del pieces[0][0]
-    if not pieces or len(pieces[0]) < 3 or pieces[0][0].upper() != "STRUC":  # STRUC, name, and a type or a member
+    # the words between two commas; the first list begins with STRUC and the name of the type
+    word_lists = [NAME.findall(source.text, *span) for span in list_spans(source, start, stop)]
+    while word_lists and word_lists[0][:1] and word_lists[0][0].upper() in ("GLOBAL", "DECL"):
+        del word_lists[0][0]
+    if not word_lists or len(word_lists[0]) < 3 or word_lists[0][0].upper() != "STRUC":
         return None
-    name, pieces[0] = pieces[0][1].upper(), pieces[0][2:]
-    kind, members = "", dict[str, str]()  # a type holds for all members up to the next type
-    for words in pieces:
+    name, word_lists[0] = word_lists[0][1].upper(), word_lists[0][2:]
+    kind, members = "", dict[str, str]()
+    for words in word_lists:  # type and member, or a member alone: it has the type of the member before
         kind = words[0].upper() if len(words) > 1 else kind
         members |= {word.upper(): kind for word in words[-1:]}
     return Structure(name, members)
@@ -129,11 +129,12 @@ def declared_names(source: Source) -> tuple[frozenset[str], frozenset[str]]:
     local_names: set[str] = set()
     global_names: set[str] = set()
     for begin, end in zip(source.starts.tolist(), source.stops.tolist(), strict=True):
-        if element := ELEMENT.match(source.text, begin, end):  # most lines of long data lists
+        # such as P[3]={…}: most lines of long data lists, and never GLOBAL
+        if element := ELEMENT.match(source.text, begin, end):
             local_names.add(element["name"].upper())
             continue
         start, stop = code_span(source.text, begin, end)
-        if start < stop and source.text[start] != "&":
+        if start < stop and source.text[start] != "&":  # & begins a line of the header
             for item in declared_in(source, start, stop):
                 (global_names if item.is_global else local_names).add(item.name)
     return frozenset(local_names - global_names), frozenset(global_names)
@@ -163,7 +164,7 @@ def data_lines(data: Source) -> list[DataLine]:
     for line in range(1, len(data.starts) + 1):
         start, stop = data.code_span(line)
         word = word_at(data.text, start, stop)
-        if word not in ("DEFDAT", "ENDDAT") and data.text[start : start + 1] != "&":
+        if word not in ("DEFDAT", "ENDDAT") and data.text[start : start + 1] != "&":  # &: header
             lines.append(_data_line(data, line, word))
     global_names = frozenset().union(*(item.names for item in lines if item.is_global))
     return [

@@ -118,7 +118,7 @@ def value_at(source: Source, start: int, stop: int) -> _Read:
         if next_offset == stop or text[next_offset] in ",)]}":
             return value, end
     except ProgramError:
-        _, end = first or (None, begin)  # the text behind the first term is not read
+        _, end = first or (None, begin)  # no condition: the text behind the first term is not read
     end = value_end(source, end, stop)
     return opaque_text(source, begin, end), end
 
@@ -136,7 +136,7 @@ def condition_at(source: Source, start: int, stop: int, first: _Read | None = No
     while True:
         is_negated, start = (False, start) if first is not None else read_negations(source.text, start, stop)
         term, end = first or sum_at(source, start, stop)
-        first = None
+        first = None  # the other terms have not been read
         terms.append(term)
         negations.append(is_negated)
         operator, operator_end = operator_at(source.text, end, stop)
@@ -369,6 +369,8 @@ def unreadable_text(source: Source, start: int, stop: int, error: ProgramError) 
 def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
     """Return the calls of routines in a piece of code, from left to right. Arguments of these calls are not searched.
 
+    Without an opening bracket there is no call: most pieces of code need no search.
+
     :raises ProgramError: brackets are not balanced.
     """
     text, call_list = source.text, list[Call]()
@@ -384,7 +386,10 @@ def _calls_in(source: Source, start: int, stop: int) -> tuple[Call, ...]:
 
 
 def _is_routine(name: str) -> bool:
-    """Return whether a name, upper case, before a bracket may be a routine of a program, not of the controller."""
+    """Return whether a name, upper case, before a bracket may be a routine of a program.
+
+    Words of KRL and functions of the controller that change nothing are none.
+    """
     return "$" not in name and name not in RESERVED and name not in PURE
 
 
@@ -405,7 +410,7 @@ def calls(values: Iterable[Value]) -> list[Call]:
 
 
 def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
-    """Return the aggregate whose ``{`` is at `start`.
+    """Return the aggregate whose ``{`` is at `start`, such as ``{X 1,Y 2}`` or ``{E6POS: X 1,Y 2}``.
 
     Its components are read in three ways, the fastest first: a pose of six numbers, a number, any value.
 
@@ -422,7 +427,7 @@ def parse_aggregate(source: Source, start: int, stop: int) -> Aggregate:
             literal = match["number"]
             name, has_next, position = match["name"].upper(), match["comma"] is not None, match.end()
             number = float(literal)
-            if number - number != 0.0:  # infinite; raises with the place
+            if number - number != 0.0:  # infinite: the call raises the error with its place
                 number = _finite_number(source, match, "number")
             value: Value = Number(number, *match.span("number"), literal.lstrip("+-").isdigit())
         else:

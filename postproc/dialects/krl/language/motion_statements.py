@@ -8,6 +8,7 @@ motion').
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -45,7 +46,7 @@ class Point(Struct, frozen=True, eq=False):
 class MotionStatement(Struct, frozen=True, eq=False):
     """One motion statement.
 
-    :param line: 1-based row of the execution trace; offsets are those of its file.
+    :param trace_row: 1-based row of the execution trace (the lines in execution order). Offsets are those of its file.
     :param kind: `LIN`, `CIRC`, `PTP` or `SPL`.
     :param keyword: span of the instruction, with ``_REL``.
     :param end: target.
@@ -54,11 +55,11 @@ class MotionStatement(Struct, frozen=True, eq=False):
     :param angle: CA [deg]; None without it.
     :param tail_start: offset from which the text applies to inserted targets too: approximation and WITH.
     :param stop: offset behind the code of the line.
-    :param approximated: True where `$APO.CDIS` applies.
+    :param is_approximated: True where `$APO.CDIS` applies.
     :param frame_span: span of ``#BASE`` or ``#TOOL`` if it follows the approximation, else None.
     """
 
-    line: int
+    trace_row: int
     kind: int
     keyword: tuple[int, int]
     end: Point
@@ -67,13 +68,13 @@ class MotionStatement(Struct, frozen=True, eq=False):
     angle: float | None
     tail_start: int
     stop: int
-    approximated: bool
+    is_approximated: bool
     frame_span: tuple[int, int] | None = None
 
     @property
     def is_via_incomplete(self) -> bool:
         """Whether the auxiliary point omits X, Y or Z: the controller keeps the value at the start of the circle."""
-        return self.via is not None and any(value != value for value in self.via.position.values[:3])  # NaN
+        return self.via is not None and any(math.isnan(value) for value in self.via.position.values[:3])
 
     @property
     def is_plain(self) -> bool:
@@ -97,8 +98,8 @@ _S_PER_MS = 1e-3
 class Trigger(Struct, frozen=True):
     """A TRIGGER statement.
 
-    :param line: 1-based row of the execution trace.
-    :param row: motion that it refers to.
+    :param trace_row: 1-based row of the execution trace (the lines in execution order).
+    :param motion: index of the motion that it refers to.
     :param is_attached: True if only comments and other TRIGGERs are between it and its motion.
     :param is_from_start: True if its distance counts from the start of the motion, False if from the end.
     :param offset: distance along the path [m]; NaN when it is not a number.
@@ -107,8 +108,8 @@ class Trigger(Struct, frozen=True):
     :param length: length of its motion along the path [m].
     """
 
-    line: int
-    row: int
+    trace_row: int
+    motion: int
     is_attached: bool
     is_from_start: bool
     offset: float
@@ -118,19 +119,20 @@ class Trigger(Struct, frozen=True):
 
 
 def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array) -> Iterator[Trigger]:
-    """Yield the TRIGGER statements of an execution trace.
+    """Yield the TRIGGER statements of a program.
 
     CONST_VEL and STOP WHEN PATH count as triggers at the start or the end of their motion.
 
-    :param rows: `line`, `row` and `is_attached` of n triggers, see `Trigger`.
+    :param trace: the lines of the program in execution order.
+    :param rows: `trace_row`, `motion` and `is_attached` of n triggers, see `Trigger`.
     :param length: (n,) lengths of their motions along the path [m].
     """
-    for (line, row, is_attached), path_length in zip(rows, length.tolist(), strict=True):
-        node = statement(*trace.place(line))
+    for (trace_row, motion, is_attached), path_length in zip(rows, length.tolist(), strict=True):
+        node = statement(*trace.place(trace_row))
         switching = _switching_of(node)
         yield Trigger(
-            line=line,
-            row=row,
+            trace_row=trace_row,
+            motion=motion,
             is_attached=is_attached,
             is_from_start=switching.is_from_start,
             offset=switching.offset,
@@ -152,7 +154,8 @@ class _Switching(NamedTuple):
 def _switching_of(node: tree.Statement) -> _Switching:
     """Return where and when a trigger switches; distance and delay are NaN if they are not numbers.
 
-    Both are NaN too for a statement that is not understood, and the distance for DISTANCE other than 0 and 1.
+    Both are NaN too for a statement that is not understood, and the distance for DISTANCE other than 0 and 1. A motion
+    with such a trigger cannot be divided.
     """
     if isinstance(node, tree.SplineTiming):
         return _Switching(node.is_from_start, offset=0.0, path_span=None, delay=0.0)

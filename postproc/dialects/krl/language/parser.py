@@ -130,7 +130,7 @@ def statement_in(source: Source, start: int, stop: int) -> Statement:
 
 
 def _unparsed_code(source: Source, start: int, stop: int) -> Value | None:
-    """Return a piece of code that is not parsed further, as a value; None if there are no calls in it."""
+    """Return a piece of code that is not parsed further, as a value with its calls; None if there are none."""
     if "(" not in source.text[start:stop]:
         return None
     try:
@@ -148,7 +148,7 @@ def _ordinary_statement(code: _Code) -> Statement:
     """
     source, word, start, word_start, stop = code
     text = source.text
-    # no code, a line of the header, or a key word without a reader of its own
+    # no code, a line of the header such as &ACCESS, or a key word without a reader of its own
     if word_start == stop or text[word_start] == "&" or (word in RESERVED and word not in TYPES):
         return Statement(word, start, stop, code=_unparsed_code(source, word_start, stop))
     if word in TYPES:
@@ -232,7 +232,7 @@ def _parameter(text: str) -> Parameter | None:
     end = text.find("]", bracket) + 1 if bracket >= 0 else begin + len(name)
     colon = skip_sign(text, end, stop, ":")
     is_input = colon >= 0 and skip_word(text, colon, stop, "IN") >= 0
-    return Parameter(name, is_input, bracket >= 0)
+    return Parameter(name, by_value=is_input, is_array=bracket >= 0)
 
 
 def _is_declaration(text: str, start: int, stop: int) -> bool:
@@ -322,10 +322,10 @@ def _motion(code: _Code) -> Statement:
             equals = skip_sign(text, angle_start, stop, "=")  # −1 without the sign, which may be left out
             angle, position = _point(source, max(angle_start, equals), stop)
     if position < 0:
-        axes, tail = _RelativeAxes("", None, stop, stop), Tail(stop, stop, stop)
+        axes, tail = _without_axes(stop, stop), Tail(start=stop, stop=stop, with_stop=stop)
     else:
         is_relative = word.endswith("_REL")
-        axes = _relative_axes(text, position, stop) if is_relative else _RelativeAxes("", None, position, stop)
+        axes = _relative_axes(text, position, stop) if is_relative else _without_axes(position, stop)
         tail = tail_in(source, axes.tail_start, axes.tail_stop)
     return Motion(word, start, stop, via=via, end=end, angle=angle, frame=axes.frame, frame_span=axes.span, tail=tail)
 
@@ -344,6 +344,11 @@ class _RelativeAxes(NamedTuple):
     tail_stop: int
 
 
+def _without_axes(tail_start: int, tail_stop: int) -> _RelativeAxes:
+    """Return the bounds of the tail of a motion that names neither ``#BASE`` nor ``#TOOL``."""
+    return _RelativeAxes(frame="", span=None, tail_start=tail_start, tail_stop=tail_stop)
+
+
 def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
     """Return the axes of a ``_REL`` motion, which are before or behind its approximation; no axes for unknown ones.
 
@@ -352,15 +357,17 @@ def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
     frame_start = skip_blanks(text, start, stop)
     if frame_start < stop and text[frame_start] == "#":
         frame = f"#{word_at(text, frame_start + 1, stop)}"
-        is_known = frame in FRAMES
-        return _RelativeAxes(frame if is_known else "", None, frame_start + len(frame) if is_known else start, stop)
+        if frame not in FRAMES:
+            return _without_axes(start, stop)
+        return _RelativeAxes(frame, span=None, tail_start=frame_start + len(frame), tail_stop=stop)
     frame_start = text.rfind("#", start, stop)
     frame = text[frame_start:stop].upper() if frame_start >= 0 else ""
     if frame not in FRAMES:
-        return _RelativeAxes("", None, start, stop)
+        return _without_axes(start, stop)
     if _is_approximation(text, start, frame_start):
-        return _RelativeAxes(frame, Span(frame_start, stop), start, frame_start)
-    return _RelativeAxes(frame, None, start, stop)
+        return _RelativeAxes(frame, span=Span(frame_start, stop), tail_start=start, tail_stop=frame_start)
+    # it follows other text than an approximation: it stays in the tail
+    return _RelativeAxes(frame, span=None, tail_start=start, tail_stop=stop)
 
 
 def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
@@ -386,7 +393,7 @@ def _is_approximation(text: str, start: int, stop: int) -> bool:
 
 
 def tail_in(source: Source, start: int, stop: int) -> Tail:
-    """Return WITH and approximation, which follow the points of a motion or the word SPLINE.
+    """Return WITH and approximation (``WITH $VEL.CP=1 C_DIS``), which follow the points of a motion or the word SPLINE.
 
     If WITH cannot be read, `Tail.error` says why; other text before the approximation is `Tail.unknown_text`.
     """
@@ -394,7 +401,7 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
     plain_words = text[start:stop].upper().split()
     if APPROXIMATIONS.issuperset(plain_words):  # nearly all tails, also the empty one
         return Tail(start, stop, start, approximation=tuple(plain_words))
-    words: list[str] = []
+    words: list[str] = []  # of the approximation
     end = stop  # of the text before the approximation
     all_words = list(words_in(text, start, stop))
     for word, span in reversed(all_words):
@@ -402,17 +409,18 @@ def tail_in(source: Source, start: int, stop: int) -> Tail:
             break
         words.insert(0, word)
         end = span.start
-    head = _stripped_span(text, start, end)
+    text_before = _stripped_span(text, start, end)  # WITH and its assignments, or unknown text
+    with_stop = text_before.stop
     has_other_words = len(all_words) > len(words)
-    with_end = skip_word(text, start, head.stop, "WITH") if has_other_words else -1
-    if with_end < 0:
-        unknown_text = head if head.start < head.stop else None
-        return Tail(start, stop, head.stop, approximation=tuple(words), unknown_text=unknown_text)
+    with_word_end = skip_word(text, start, with_stop, "WITH") if has_other_words else -1
+    if with_word_end < 0:
+        unknown_text = text_before if text_before.start < with_stop else None
+        return Tail(start, stop, with_stop, approximation=tuple(words), unknown_text=unknown_text)
     try:
-        assignments = tuple(_with_assignment(source, *span) for span in list_spans(source, with_end, head.stop))
-        return Tail(start, stop, head.stop, assignments, tuple(words))
+        assignments = tuple(_with_assignment(source, *span) for span in list_spans(source, with_word_end, with_stop))
+        return Tail(start, stop, with_stop, assignments=assignments, approximation=tuple(words))
     except ProgramError as error:
-        return Tail(start, stop, head.stop, approximation=tuple(words), error=error)
+        return Tail(start, stop, with_stop, approximation=tuple(words), error=error)
 
 
 def _with_assignment(source: Source, start: int, stop: int) -> Statement:
@@ -464,9 +472,9 @@ def _is_complete_timing(code: _Code) -> bool:
     value_start = skip_sign(text, position, stop, "=")
     has_value = value_start >= 0 and skip_blanks(text, value_start, stop) < stop and text[value_start] != "="
     if code.word == "TIME_BLOCK":
-        last_word = text[:position].upper()
-        is_bare = last_word.endswith(("START", "PART")) and position == stop
-        return is_bare or (has_value and not last_word.endswith("START"))
+        text_before = text[:position].upper()  # ends with START, END or PART
+        is_bare = text_before.endswith(("START", "PART")) and position == stop
+        return is_bare or (has_value and not text_before.endswith("START"))
     condition = key_word(text, position, stop, "IF") if code.word == "STOP" else None
     return has_value and (code.word != "STOP" or (condition is not None and condition.stop < stop))
 
@@ -637,7 +645,7 @@ def _return(code: _Code) -> Statement:
 
 
 def _bas(code: _Code) -> Statement:
-    """Return a call of BAS; a plain statement if it is something else.
+    """Return a call of BAS, KUKA's program that sets speeds and frames; a plain statement if it is something else.
 
     :raises ProgramError: brackets are not balanced.
     """

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import DataLine, data_lines
 from postproc.dialects.krl.language.parser import statement
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import DAT, SRC, Source
 from postproc.dialects.krl.language.tokens import FORCE, skip_sign
 from postproc.dialects.krl.language.tree import CallStatement, Definition
 from postproc.errors import ProgramError
@@ -28,14 +28,14 @@ from postproc.program import Document, UnresolvedMotion
 
 MAIN = "Main"
 """End of the name of the main program, which calls the others."""
-_DIVIDES, _BEGINS, _UNENDED = ";\x01", ";\x02", ";\x03"
+_DIVISION_MARK, _FILE_MARK, _UNENDED_MARK = ";\x01", ";\x02", ";\x03"
 """Marks in the joined text: before lines that only divide it, before the first line of each file but the main file, and
-before a last line without line end.
+before a last line without line end. They begin with ``;``, so that KRL takes the rest of their line for a comment.
 """
 _ADDED_END = "END ;\x04\r\n"
 """END of the joined text, if no files with routines follow the parts: the END of each part is a comment."""
 _DIGITS = "0123456789"
-_UNENDED_LINE = re.compile(f"{_UNENDED}([^\r\n]*)\n")
+_UNENDED_LINE = re.compile(f"{_UNENDED_MARK}([^\r\n]*)\n")
 _PART_OF = re.compile(r"^;POSTPROC[ \t]+\d+[ \t]+part=\d+[ \t]+of=([\w$]+)[ \t]*\r?$", re.MULTILINE | re.ASCII)
 
 
@@ -72,8 +72,8 @@ class JoinedProgram(Struct, frozen=True, eq=False):
         file, line = error.file, error.line
         if line is not None and file is not None:
             file, line = self.original_line(file, line)
-        marks = "".join((_DIVIDES, _BEGINS, _UNENDED))  # characters before lines of the joined text
-        text = None if error.text is None else error.text.lstrip(marks)
+        mark_characters = "".join((_DIVISION_MARK, _FILE_MARK, _UNENDED_MARK))  # before lines of the joined text
+        text = None if error.text is None else error.text.lstrip(mark_characters)
         later_errors = [
             self.error_in_file(later_error)
             for later_error in error.further_errors
@@ -85,7 +85,7 @@ class JoinedProgram(Struct, frozen=True, eq=False):
 
 
 def called_parts(main: Document) -> list[tuple[str, int]]:
-    """Return the parts of a program: the programs that its main program calls one after the other at its end.
+    """Return the parts of a program in several files: those that its main program calls one after the other at its end.
 
     :returns: name of each part, as the call spells it, and line of the call, in order. Empty if the file is not the
         main program of several files: its calls must name ``part1``, ``part2`` … without a gap.
@@ -93,13 +93,14 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
     stem = PurePath(main.name).stem
     if not stem.lower().endswith(MAIN.lower()) or len(stem) == len(MAIN):
         return []
-    source = Source.of(main, 0)
+    source = Source.of(main, SRC)
     calls: list[tuple[str, int]] = []
     has_end = False
     base_name = stem[: -len(MAIN)].lower()
     for line in range(len(source.starts), 0, -1):  # from the end: END, and the calls before it
         node = statement(source, line)
         callee = node.call.spelling(source) if isinstance(node, CallStatement) and not node.call.arguments else ""
+        # digits are stripped from both names, as the name of the program may end with digits too
         if has_end and callee and callee.lower().rstrip(_DIGITS) == base_name.rstrip(_DIGITS):
             calls.append((callee, line))
         elif not has_end and _is_end(source, line):
@@ -112,9 +113,10 @@ def called_parts(main: Document) -> list[tuple[str, int]]:
 
 
 def files_of_routines(main: Document, find_file: Callable[[str], Document | None]) -> list[Document]:
-    """Return the files with the routines of a program in several files; their numbers follow those of the parts.
+    """Return the files with the routines of a program in several files: those whose numbers follow those of its parts.
 
-    Empty if the program is in one file.
+    With ``part1.src`` to ``part3.src``, which the main program calls, these are ``part4.src`` and so on, as long as a
+    comment in them names the main program. Empty if the program is in one file.
 
     :param main: the main program.
     :param find_file: returns a file by its name; None if there is no such file.
@@ -131,13 +133,15 @@ def files_of_routines(main: Document, find_file: Callable[[str], Document | None
 
 
 def stated_main_program(document: Document) -> str | None:
-    """Return the name of the main program that a comment in a part names; None if there is no such comment."""
+    """Return the main program that a comment such as ``;POSTPROC 1 part=2 of=partMain`` names; None without it."""
     main_name = _PART_OF.search(document.text)
     return None if main_name is None else main_name[1]
 
 
 def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
-    """Return the files of a program as one; None if it is in one file, or if none of its parts is in `documents`.
+    """Return the files of a program in several files as one text; None if none of the parts is in `documents`.
+
+    None too for a program in one file. The parts are ``part1.src``, ``part2.src`` …, which ``partMain.src`` calls.
 
     :param documents: the main program first, the other files in any order.
     :raises ProgramError: some of the parts are missing, or a file cannot be a part of a program.
@@ -150,7 +154,7 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
         return None
     if absent_calls:
         (name, line), advice = absent_calls[0], "Put all files of the program next to it."
-        raise Source.of(main, 0).line_error(f"{name}.src is not there", line, advice)
+        raise Source.of(main, SRC).line_error(f"{name}.src is not there", line, advice)
     parts = [document_of[f"{name}.src".lower()] for name, _ in calls]
     routine_files = files_of_routines(main, lambda name: document_of.get(name.lower()))
     texts = [
@@ -168,11 +172,11 @@ def joined_program(documents: Sequence[Document]) -> JoinedProgram | None:
 
 
 def _files_with_first_lines(documents: Sequence[Document]) -> Iterator[tuple[str, int]]:
-    """Yield the name of each file, and the number of its first line in the joined text."""
+    """Yield the name of each file, and the number, from 1, of its first line in the joined text."""
     first = 1
     for document in documents:
         yield document.name, first
-        first += len(Source.of(document, 0).starts)
+        first += len(Source.of(document, SRC).starts)  # number of lines
 
 
 def separated_texts(text: str) -> list[str]:
@@ -180,19 +184,21 @@ def separated_texts(text: str) -> list[str]:
 
     Marks and END that `joined_program` added are removed.
     """
-    pieces = text.removesuffix(_ADDED_END).split(_BEGINS)
-    return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVIDES, "") for piece in pieces]
+    pieces = text.removesuffix(_ADDED_END).split(_FILE_MARK)
+    return [_UNENDED_LINE.sub(r"\1", piece).replace(_DIVISION_MARK, "") for piece in pieces]
 
 
 def _main_text(main: Document, calls: Sequence[int]) -> str:
-    """Return the text of the main program, with its calls of the parts and its END as comments.
+    """Return the text of the main program for the joined text: its calls of the parts and its END are comments.
+
+    The texts of the parts follow it, and an END behind the last of them.
 
     :param calls: lines of these calls, ascending.
-    :raises ProgramError: a force comment follows the first of the calls; the file has other routines; DEF has
-        parameters.
+    :raises ProgramError: a force comment follows the first of the calls, and would precede all parts in the joined
+        text; the file has other routines; DEF has parameters.
     """
-    source = Source.of(main, 0)
-    _def_line(source)  # raises if there are other routines or parameters
+    source = Source.of(main, SRC)
+    _def_line(source)  # the line is not needed: raises if there are other routines or parameters
     for line in range(calls[0], len(source.starts) + 1):
         if FORCE.match(source.text[source.starts[line - 1] : source.stops[line - 1]].strip()):
             advice = "Write it into the program that is called."
@@ -208,15 +214,15 @@ def _part_text(part: Document, *, keeps_end: bool = False, has_routines: bool = 
     :param has_routines: True for a file with routines: they follow the first END, which is that of its empty DEF.
     :raises ProgramError: the file has no END, its DEF has parameters, or a part has several DEF.
     """
-    source = Source.of(part, 0)
+    source = Source.of(part, SRC)
     begin = _def_line(source, has_routines=has_routines)
     text = source.text
-    header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]
+    header = [line for line in range(1, begin) if text[source.starts[line - 1]] == "&"]  # such as &ACCESS
     end_lines = (line for line in range(begin, len(source.starts) + 1) if _is_end(source, line))
     end = next(end_lines, None) if has_routines else max(end_lines, default=None)
     if end is None:
         raise source.line_error("DEF has no END", begin, "Check that the file was transferred completely.")
-    return _BEGINS + _marked_text(source, [*header, begin, *([] if keeps_end else [end])])
+    return _FILE_MARK + _marked_text(source, [*header, begin, *([] if keeps_end else [end])])
 
 
 def _def_line(source: Source, *, has_routines: bool = False) -> int:
@@ -246,14 +252,15 @@ def _is_end(source: Source, line: int) -> bool:
 
 
 def _marked_text(source: Source, lines: Sequence[int]) -> str:
-    """Return the text of a file with marks that make some of its lines comments.
+    """Return the text of a file in which some lines are comments: ``;`` and a control character precede each.
 
-    A last line without line end gets a mark and a line end.
+    `separated_texts` finds these marks and removes them. A last line without line end gets a mark of its own and a line
+    end, so that another file can follow.
 
     :param lines: lines that become comments, 1-based, ascending.
-    :raises ProgramError: the text contains control characters that are used as marks.
+    :raises ProgramError: the text contains a mark already, so that it could not be restored.
     """
-    if any(mark in source.text for mark in (_DIVIDES, _BEGINS, _UNENDED)):
+    if any(mark in source.text for mark in (_DIVISION_MARK, _FILE_MARK, _UNENDED_MARK)):
         raise ProgramError(
             "control characters in the program",
             file=source.document.name,
@@ -262,13 +269,13 @@ def _marked_text(source: Source, lines: Sequence[int]) -> str:
     pieces, copied_to = [], 0
     for line in lines:
         start = int(source.starts[line - 1])
-        pieces += [source.text[copied_to:start], _DIVIDES]
+        pieces += [source.text[copied_to:start], _DIVISION_MARK]
         copied_to = start
     pieces.append(source.text[copied_to:])
     text = "".join(pieces)
     if source.stops[-1] == len(source.text):  # the last line has no line end
         start = text.rfind("\n") + 1 if "\n" in text else text.rfind("\r") + 1
-        text = f"{text[:start]}{_UNENDED}{text[start:]}\n"
+        text = f"{text[:start]}{_UNENDED_MARK}{text[start:]}\n"
     return text
 
 
@@ -278,17 +285,19 @@ def _joined_data(main: Document, data: Sequence[Document]) -> Document:
     :param data: the `.dat` of the files, in their order.
     :raises ProgramError: two files declare or initialise one name differently.
     """
-    lines: dict[str, str] = {}  # key of each line → its text; equal declarations have one key
+    lines: dict[str, str] = {}  # declaration, or file and number of another line → text of the line
     texts_of_name: dict[str, list[str]] = {}
     for document in data:
         lines_of_name: dict[str, list[DataLine]] = {}
-        for line in data_lines(Source.of(document, 1)):
+        for line in data_lines(Source.of(document, DAT)):
             for name in line.names:
                 lines_of_name.setdefault(name, []).append(line)
-            lines.setdefault(line.text.strip() if line.names else f"{document.name}:{line.line}", line.text)
+            # equal declarations have one key; lines without a declaration, such as comments, are all kept
+            key = line.text.strip() if line.names else f"{document.name}:{line.line}"
+            lines.setdefault(key, line.text)
         for name, name_lines in lines_of_name.items():
             texts = [line.text.strip() for line in name_lines]
-            if texts_of_name.setdefault(name, texts) != texts:
+            if texts_of_name.setdefault(name, texts) != texts:  # an earlier file has other lines with the name
                 problem = f"{name} has another value than in the file before"
                 advice = "Give it another name: the parts are corrected as one program."
                 raise ProgramError(

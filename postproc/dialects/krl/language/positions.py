@@ -82,12 +82,13 @@ def position_from_pose(pose: Array) -> Position:
 
 
 def position_from_aggregate(aggregate: Aggregate) -> Position:
-    """Return the position that an aggregate gives.
+    """Return the position that an aggregate gives, such as ``{X 1,Y 2,Z 3,A 0,B 90,C 0,S 2}`` or ``{A1 0,A2 -90}``.
 
     :raises NotANumberError: a component is not a number.
     :raises ProgramError: a component is unknown, axes and Cartesian components are mixed, S or T is out of range.
     """
     items = aggregate.items
+    # the first of the tags is empty: an aggregate without a type
     is_axis = aggregate.tag in _AXIS_TAGS[1:] or not _AXES.isdisjoint(items)
     components, tags = (_AXIS_COMPONENTS, _AXIS_TAGS) if is_axis else (_CARTESIAN_COMPONENTS, _CARTESIAN_TAGS)
     if aggregate.tag not in tags:
@@ -96,22 +97,23 @@ def position_from_aggregate(aggregate: Aggregate) -> Position:
             f"{aggregate.tag} is not the type of {kind}", aggregate.start, advice=f"Valid types: {', '.join(tags[1:])}."
         )
     values = [value.value for value in items.values() if isinstance(value, Number)]
+    # the numbers of a computed aggregate are not in its text
+    text_aggregate = None if aggregate.is_computed else aggregate
     if len(values) == len(CARTESIAN) and tuple(items) == CARTESIAN and aggregate.tag in _CARTESIAN_TAGS:
-        return Position(tuple(values), aggregate=None if aggregate.is_computed else aggregate)  # nearly all aggregates
+        return Position(tuple(values), aggregate=text_aggregate)  # nearly all aggregates
     numbers = {}
     for name, value in items.items():
         if name not in components or not isinstance(value, Number):
             raise _component_error(aggregate, name, components)
         numbers[name] = value.value
-    get = numbers.get
     has_external = not _EXTERNAL.isdisjoint(numbers)
     return Position(
-        values=tuple([get(name, _NAN) for name in (AXES if is_axis else CARTESIAN)]),
+        values=tuple([numbers.get(name, _NAN) for name in (AXES if is_axis else CARTESIAN)]),
         is_axis=is_axis,
-        status=_status_or_turn(aggregate, "S", get("S"), MAX_STATUS),
-        turn=_status_or_turn(aggregate, "T", get("T"), MAX_TURN),
-        external=tuple([get(name, _NAN) for name in EXTERNAL]) if has_external else (),
-        aggregate=None if aggregate.is_computed else aggregate,
+        status=_status_or_turn(aggregate, "S", numbers.get("S"), MAX_STATUS),
+        turn=_status_or_turn(aggregate, "T", numbers.get("T"), MAX_TURN),
+        external=tuple([numbers.get(name, _NAN) for name in EXTERNAL]) if has_external else (),
+        aggregate=text_aggregate,
     )
 
 

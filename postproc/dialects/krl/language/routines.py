@@ -111,11 +111,11 @@ def routines(
     """Return the routines of a file (name, upper case → routine), and the errors in their bounds.
 
     Errors are a DEF without END or that cannot be read, and a motion outside of DEF … END. If two routines have one
-    name, the first counts.
+    name, the first counts. Plain motions and plain settings are lines of simple form, which are read in bulk.
 
     :param lines: 1-based lines that are neither plain motions nor plain settings.
     :param motion_lines: (P,) lines of plain motions, ascending.
-    :param settings: lines of plain settings, ascending.
+    :param settings: lines of plain settings, which only assign system variables, ascending.
     """
     routine_of: dict[str, Routine] = {}
     faults: list[ProgramError] = []
@@ -158,10 +158,12 @@ def _closed_routine(
 ) -> Routine:
     """Return a routine whose END is on a 1-based line, `end_line`.
 
+    Plain motions and plain settings are lines of simple form, which are read in bulk.
+
     :param motion_lines: (P,) lines of all plain motions of the file, ascending.
     :param settings: lines of all plain settings of the file, ascending.
     """
-    types: dict[str, str] = {}
+    types: dict[str, str] = {}  # local name → declared type
     for inner_line in open_routine.lines:
         node = statement(source, inner_line)
         if isinstance(node, Declaration) and not node.is_global and node.word != "STRUC":

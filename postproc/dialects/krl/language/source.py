@@ -13,6 +13,8 @@ from postproc.program import Document, Ints
 
 MOST_CHARACTERS = 10_000
 """Characters of the longest statement that is read; controllers write up to 1000."""
+SRC, DAT, OTHER_FILE = 0, 1, 2
+"""`Source.index`: the `.src` of the program, its `.dat`, and any other file, such as the `$config.dat`."""
 _BLANKS = " \t\r"
 """Blanks around code."""
 
@@ -22,7 +24,7 @@ class Source(Struct, frozen=True, eq=False):
 
     :param document: the file.
     :param text: its content.
-    :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat` (which is never written).
+    :param index: `SRC`, `DAT` or `OTHER_FILE`.
     :param starts: (L,) offset of the first character of each line.
     :param stops: (L,) offset behind the last character of each line, without the line end.
     :param statements: 1-based line → parsed statement, filled by `parser.statement`.
@@ -41,23 +43,24 @@ class Source(Struct, frozen=True, eq=False):
     def of(cls, document: Document, index: int) -> Source:
         """Return a document with its lines.
 
-        :param index: 0 for the `.src`, 1 for the `.dat`, 2 for a `$config.dat`.
+        :param index: `SRC`, `DAT` or `OTHER_FILE`.
         :raises ProgramError: the code of a line is longer than `MOST_CHARACTERS`.
         """
         starts, stops = line_spans(document.text)
         source = cls(document, document.text, index, starts, stops)
         # only a line that is too long with its comment can have code that is too long
-        for row in np.flatnonzero(stops - starts > MOST_CHARACTERS).tolist():
-            start, stop = source.code_span(row + 1)
+        for line in (np.flatnonzero(stops - starts > MOST_CHARACTERS) + 1).tolist():  # lines count from 1
+            start, stop = source.code_span(line)
             if stop - start > MOST_CHARACTERS:
                 problem = f"the statement has {stop - start} characters, {MOST_CHARACTERS} are allowed"
-                raise source.line_error(problem, row + 1, "Write it as several statements.")
+                raise source.line_error(problem, line, "Write it as several statements.")
         return source
 
     def lines_text(self, first: int, last: int) -> str:
         """Return the 1-based lines first … last with their line ends; empty if `last` precedes `first`."""
         if last < first:
             return ""
+        # `starts` counts from 0: starts[last] is the beginning of the line behind
         stop = self.starts.item(last) if last < len(self.starts) else len(self.text)
         return self.text[self.starts.item(first - 1) : stop]
 
@@ -106,7 +109,7 @@ class Place(NamedTuple):
 
     def __str__(self) -> str:
         """Return the place for messages: ``line 12``, with the file if it is not the `.src` of the program."""
-        return f"line {self.line}" if self.source.index == 0 else f"{self.source.document.name}, line {self.line}"
+        return f"line {self.line}" if self.source.index == SRC else f"{self.source.document.name}, line {self.line}"
 
     def error(self, problem: str, advice: str | None = None) -> ProgramError:
         """Return an error that names the file, the line, and the text of the line."""

@@ -55,7 +55,7 @@ class Block(Struct, frozen=True, eq=False):
     parts: tuple[Part, ...]
 
     def shifted(self, shift: int) -> Block:
-        """Return the control structure with `shift` added to all line numbers."""
+        """Return the control structure with `shift` added to all its lines: from rows of a trace to lines of a file."""
         parts = (
             Part(part.head + shift, part.end + shift, tuple(_shifted(node, shift) for node in part.nodes))
             for part in self.parts
@@ -108,6 +108,8 @@ class _OpenStructure(Struct, eq=False):
 def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
     """Return the statements and control structures on some lines of a file, or rows of a trace, in order.
 
+    A trace: the lines of a program in execution order.
+
     Each line of a structure that is not closed becomes a plain statement. A closing or dividing word without its
     structure becomes one too.
 
@@ -142,7 +144,10 @@ def nodes_of(source: Source | Trace, lines: Sequence[int]) -> tuple[Node, ...]:
 
 
 def _control_word(source: Source | Trace, line: int) -> str:
-    """Return the first word of a line or row, upper case; for speed, empty for most lines without a control word."""
+    """Return the word of a control structure with which a line or a row of a trace begins, upper case.
+
+    For speed, the result for other lines is empty or their first word.
+    """
     if isinstance(source, Trace):
         if source.is_counter_row.item(line - 1):
             return ""
@@ -177,7 +182,7 @@ def is_outside_structures(source: Source | Trace, lines: Sequence[int], line_num
 
 
 def simple_head(source: Source, block: Block) -> For | None:
-    """Return the head of a FOR whose counter is a simple variable.
+    """Return the FOR statement that begins a loop, if its counter is a simple variable.
 
     None for a counter that is an array element or a component, for another loop, and if FOR cannot be read.
     """
@@ -219,7 +224,7 @@ def check_closed(source: Source, nodes: tuple[Node, ...]) -> None:
 
 
 def _structure_errors(source: Source, nodes: Sequence[Node], *, in_loop: bool) -> Iterator[ProgramError]:
-    """Yield the errors in control structures, see `checked_nodes`.
+    """Yield the errors in the lines of control structures (`_line_fault`), and each EXIT outside of a loop.
 
     :param in_loop: True if the nodes are inside a loop, so that EXIT is valid.
     """

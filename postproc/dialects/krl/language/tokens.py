@@ -153,12 +153,17 @@ def indent(text: str) -> str:
 
 
 def literal_value(literal: re.Match[str]) -> int:
-    """Return the value of an `INTEGER_LITERAL`."""
+    """Return the value of a match of `INTEGER_LITERAL`: an INT such as ``'B010'`` or ``'H2F'``."""
     return int(literal["binary"], 2) if literal["binary"] else int(literal["hexadecimal"], 16)
 
 
 def literal_with_value(literal: re.Match[str], value: int) -> str:
-    """Return an `INTEGER_LITERAL` with another value: its notation and its number of digits stay, if these suffice."""
+    """Return an INT such as ``'B010'`` or ``'H2F'`` with another value, in the same notation.
+
+    It gets leading zeros, so that it has at least as many digits as before.
+
+    :param literal: match of `INTEGER_LITERAL`.
+    """
     if literal["binary"]:
         return f"'{literal['binary_sign']}{value:0{len(literal['binary'])}b}'"
     return f"'{literal['hexadecimal_sign']}{value:0{len(literal['hexadecimal'])}X}'"
@@ -185,7 +190,9 @@ def names_in(text: str, start: int = 0, stop: int = sys.maxsize) -> set[str]:
 
 
 def occurrences(text: str, start: int, stop: int) -> Iterator[Occurrence]:
-    """Yield the names in ``text[start:stop]``, also words of KRL, but no components and no constants of ENUMs.
+    """Yield the names in ``text[start:stop]``, also words of KRL.
+
+    Components (X of ``{X 1}``, ``.X``) and constants of ENUMs (``#X``) are left out: they are no names of variables.
 
     >>> [item.name for item in occurrences("LIN {X I, Y P.X}:Q", 0, 18)]
     ['LIN', 'I', 'P', 'Q']

@@ -374,7 +374,7 @@ def _motions_of_statement(
     points = (Point(position, end.start, end.stop, name) for position in targets)
     return [
         MotionStatement(
-            line=row,
+            trace_row=row,
             kind=kind,
             keyword=keyword,
             end=point,
@@ -383,7 +383,7 @@ def _motions_of_statement(
             angle=None,
             tail_start=tail.start,
             stop=tail.stop,
-            approximated=is_approximated,
+            is_approximated=is_approximated,
         )
         for row, point in zip(rows, points, strict=True)
     ]

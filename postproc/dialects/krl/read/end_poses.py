@@ -313,7 +313,9 @@ class _Follower:
         angles, previous_joints = np.array(move.end.position.values) * RAD_PER_DEG, self.robot_position.joints
         if previous_joints is None and (move.relative_axes or np.isnan(angles).any()):
             raise self.trace.error(
-                "the joint angles before this motion are not known", move.line, "Give all of A1 … A6, not relative."
+                "the joint angles before this motion are not known",
+                move.trace_row,
+                "Give all of A1 … A6, not relative.",
             )
         if previous_joints is not None:
             angles = (
@@ -338,7 +340,7 @@ class _Follower:
         position = move.end.position
         angle_changes = np.nan_to_num(np.array(position.values)[3:])  # NaN: the text does not state the angle
         if np.any(angle_changes != 0.0):
-            raise self.trace.error("relative A, B, C are not supported", move.line, "Write it with LIN or PTP.")
+            raise self.trace.error("relative A, B, C are not supported", move.trace_row, "Write it with LIN or PTP.")
         return np.concatenate([start[:3] + _offset_in_base(position, move.relative_axes, start), start[3:]])
 
 

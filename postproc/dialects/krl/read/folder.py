@@ -21,7 +21,7 @@ from postproc.dialects.krl.language import scan
 from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Callee, Module, Routine, routines
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import OTHER_FILE, Source
 from postproc.dialects.krl.language.tokens import occurrences
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
@@ -32,8 +32,6 @@ _LARGEST_FILE = 20_000_000
 """Bytes of the largest file that is searched."""
 _CONTROLLER_NAMES = PURE | STANDARD | RESERVED | {"BAS"}
 """Names of functions and programs of the controller, which are not searched for."""
-_OTHER_FILE = 2
-"""`Source.index` of all files other than the `.src` (0) and the `.dat` (1) of the program."""
 
 
 class FolderFiles:
@@ -100,9 +98,9 @@ class FolderFiles:
         """
         document = self._documents.get(path.name.upper())
         if document is not None:
-            return Source.of(document, _OTHER_FILE)
+            return Source.of(document, OTHER_FILE)
         try:
-            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), _OTHER_FILE)
+            return Source.of(replace(decode(path.name, path.read_bytes()), folder=str(path.parent)), OTHER_FILE)
         except OSError as cause:
             raise ProgramError(
                 f"cannot be read ({cause.strerror})", file=str(path), advice="Check its path, and that you may read it."

@@ -588,7 +588,7 @@ def endless_rounds(
     :param predecessors: (M,) the motion at whose end each begins; None: the motion before it.
     """
     count = len(motions)
-    first, stop = np.searchsorted(layout.line, [loop.first, loop.stop]).tolist()
+    first, stop = np.searchsorted(layout.trace_row, [loop.first, loop.stop]).tolist()
     # `first` once more, in the second round; any motion if the loop has none
     rows = np.append(np.arange(count), min(first, count - 1))
     all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)

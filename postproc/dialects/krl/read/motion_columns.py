@@ -126,7 +126,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
     postures = [(move.end.position.status, move.end.position.turn) for move in moves]  # −1 where missing
     via_points = _via_points_of(moves)
     return MotionColumns(
-        line=compact(np.array([move.line for move in moves], dtype=np.int64), np.int32),
+        line=compact(np.array([move.trace_row for move in moves], dtype=np.int64), np.int32),
         kind=compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
         numbers=numbers,
         posture=compact_postures(np.array(postures).reshape(-1, 2)),
@@ -135,7 +135,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
         keyword=_offsets([move.keyword[0] for move in moves]),
         target=_offsets([(move.end.start, move.end.stop) for move in moves]).reshape(-1, 2),
         tail=_offsets([(move.tail_start, move.stop) for move in moves]).reshape(-1, 2),
-        approximated=np.array([move.approximated for move in moves], dtype=np.bool_),
+        approximated=np.array([move.is_approximated for move in moves], dtype=np.bool_),
         via=via_points.numbers,
         via_spans=via_points.spans,
         via_target=via_points.targets,

@@ -153,7 +153,7 @@ class MotionReader:
         except ProgramError as cause:
             raise unresolved_error(cause) from None
         move = MotionStatement(
-            line=row,
+            trace_row=row,
             kind=kind,
             keyword=(motion.start, motion.start + len(motion.word)),
             end=end,
@@ -162,7 +162,7 @@ class MotionReader:
             angle=angle,
             tail_start=motion.tail.start,
             stop=motion.tail.stop,
-            approximated=is_approximated,
+            is_approximated=is_approximated,
             frame_span=None if motion.frame_span is None else (motion.frame_span.start, motion.frame_span.stop),
         )
         return MotionReading(move, state, name_offsets)

@@ -308,7 +308,7 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
     elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
     return Layout(
         execution=main.execution,
-        line=rows.line,
+        trace_row=rows.line,
         notes=(),
         numbers=ends.numbers,
         is_missing=targets.is_missing,

@@ -20,7 +20,7 @@ from postproc.cell import Cell
 from postproc.dialects.krl.execution import Execution, ForkVisit, Join
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import DAT, OTHER_FILE, SRC, Source
 from postproc.dialects.krl.language.trace import Trace
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read.comments import force_notes, remarks
@@ -109,7 +109,7 @@ def _read_program(
     :param bulk: False to read plain lines one by one.
     :raises ProgramError: see `read_program`.
     """
-    source = Source.of(documents[0], index=0)
+    source = Source.of(documents[0], SRC)
     # in a list, from which the first reading takes them, so that their memory is released
     scanned_lines = [plain_lines_of(source, bulk=bulk)]
     module, entry, faults = _main_routine(source, scanned_lines[0], name)
@@ -256,7 +256,7 @@ class _Reading(Struct, frozen=True, eq=False):
             bases=path.bases,
             tools=path.tools,
             tool_keys=_tool_keys(run.settings),
-            events=(*remarks(execution, layout.line), *self._waits(run, execution, layout.line)),
+            events=(*remarks(execution, layout.trace_row), *self._waits(run, execution, layout.trace_row)),
             notes=tuple(note for _, note in order.notes),
             still=execution.trace.reported_lines[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
             issues=tuple(issues),
@@ -268,7 +268,7 @@ class _Reading(Struct, frozen=True, eq=False):
             joins=joined_ends,
             branches=branch_spans(execution, sequence.rows.line),
             transitions=transitions(
-                execution, layout.line, order.predecessors, order.uncorrected_lines, order.unchecked_joins
+                execution, layout.trace_row, order.predecessors, order.uncorrected_lines, order.unchecked_joins
             ),
             unresolved=separation.unresolved,
             unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
@@ -334,7 +334,7 @@ class _Reading(Struct, frozen=True, eq=False):
     def _module_with_data(self, program: Module) -> Module:
         """Return the module of the program with its `.dat`, if there is one."""
         data = [document for document in self.documents[1:] if _is_data_of(document, self.documents[0])]
-        return replace(program, data=Source.of(data[0], 1)) if data else program
+        return replace(program, data=Source.of(data[0], DAT)) if data else program
 
     def _initial_variables(self) -> Variables:
         """Return the variables as they are before the program runs: from the `.dat`, `$config.dat` and the cell.
@@ -347,7 +347,7 @@ class _Reading(Struct, frozen=True, eq=False):
         variables = Variables(self.cell)
         for document in self.documents[1:]:
             if _is_data_of(document, self.documents[0]):
-                read_data(variables, Source.of(document, index=1))
+                read_data(variables, Source.of(document, DAT))
         if self.cell.config_dat is not None:
             read_data(variables, _config_source(self.cell, self.cell.config_dat), fills_gaps=True, is_global=True)
         program = self.documents[0]
@@ -393,7 +393,7 @@ def _checked_ends(
         return ends
     rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
     check_endless_loop(execution, rounds, main.run.settings)
-    check_force(execution, loop, layout.line, motions.kind, order.notes)
+    check_force(execution, loop, layout.trace_row, motions.kind, order.notes)
     return (*ends, *rounds.joined_ends())
 
 
@@ -510,7 +510,7 @@ def _config_source(cell: Cell, path: str) -> Source:
         raise CellError(
             f"config_dat cannot be read ({cause.strerror})", file=str(file), advice="The path is relative to the cell."
         ) from cause
-    return Source.of(decode(file.name, data), index=2)  # 0 and 1 are the `.src` and `.dat` of the program
+    return Source.of(decode(file.name, data), OTHER_FILE)
 
 
 class _MainRoutine(NamedTuple):

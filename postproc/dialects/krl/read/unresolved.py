@@ -91,7 +91,7 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     # the use of a point by an uncorrected motion is not followed: the point must keep its value
     for row in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():
         move = sequence.moves[row]
-        run.followed_names -= {(move.line, point.start) for point in (move.end, move.via) if point is not None}
+        run.followed_names -= {(move.trace_row, point.start) for point in (move.end, move.via) if point is not None}
     corrected_motions = _without_rows(sequence, is_dropped)
     new_row = np.cumsum(~is_dropped) - 1  # row of each corrected motion among the corrected ones
     begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(rows)]

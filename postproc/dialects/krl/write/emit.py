@@ -25,7 +25,7 @@ from postproc.dialects.force_comments import text_in_rows
 from postproc.dialects.krl.language.names import fault_of, valid_name
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import SRC, Source
 from postproc.dialects.krl.language.tree import CallStatement
 from postproc.dialects.krl.write.target_numbers import DECIMALS, fixed_point
 from postproc.dialects.krl.write.target_statements import aggregate_text
@@ -272,7 +272,7 @@ class Emitter:
 
 def calls_program(statements: Sequence[str]) -> bool:
     """Return whether one of some lines of KRL is a call."""
-    source = Source.of(Document("cell.toml", "\n".join(statements)), 0)
+    source = Source.of(Document("cell.toml", "\n".join(statements)), SRC)
     return any(isinstance(statement(source, line + 1), CallStatement) for line in range(len(source.starts)))
 
 

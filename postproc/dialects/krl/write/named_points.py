@@ -17,7 +17,7 @@ from postproc.dialects.krl.language.expressions import parse_aggregate
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Point
 from postproc.dialects.krl.language.names import Names
 from postproc.dialects.krl.language.positions import position_from_aggregate
-from postproc.dialects.krl.language.source import Place, Source
+from postproc.dialects.krl.language.source import DAT, Place, Source
 from postproc.dialects.krl.language.tokens import NAME, names_in, word_at
 from postproc.dialects.krl.language.values import Aggregate
 from postproc.dialects.krl.layout import Elements, Layout
@@ -135,8 +135,8 @@ class NamedPoints(Struct, eq=False):
             text = source.text[use.operand.start : use.operand.stop]
             is_out_of_scope = source is not self.sources[0]  # other files do not see names of this `.dat`
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
-            # source index 1: the `.dat` of the program
-            is_not_in_data_list = aggregate.row > 0 or aggregate.source.index != 1 or len(self.sources) < 2
+            # row > 0: an assignment in the `.src` gives its value; one source alone: the program has no `.dat`
+            is_not_in_data_list = aggregate.row > 0 or aggregate.source.index != DAT or len(self.sources) < 2
             if is_not_in_data_list or is_copy or is_out_of_scope or not NAME.fullmatch(text):
                 self._replace_by_literal(use)
                 continue
@@ -297,7 +297,7 @@ def _statement_of_element(
     keyword = word_at(layout.source(row).text, keyword_start, start)  # such as LIN
     position = position_from_aggregate(parse_aggregate(elements.source, *literal))
     return MotionStatement(
-        line=int(layout.line[row]),
+        trace_row=int(layout.trace_row[row]),
         kind=int(motions.kind[row]),
         keyword=(keyword_start, keyword_start + len(keyword)),
         end=Point(position, start, stop, elements.name),
@@ -306,5 +306,5 @@ def _statement_of_element(
         angle=None,
         tail_start=tail_start,
         stop=tail_stop,
-        approximated=bool(motions.blend[row] > 0.0),
+        is_approximated=bool(motions.blend[row] > 0.0),
     )

@@ -30,7 +30,7 @@ from postproc.dialects.force_comments import needs_comment, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
-from postproc.dialects.krl.language.source import Source, comment_start
+from postproc.dialects.krl.language.source import DAT, Source, comment_start
 from postproc.dialects.krl.layout import FREE, ORIENTATIONS, Layout
 from postproc.dialects.krl.write.edited_rows import edited_rows
 from postproc.dialects.krl.write.edits import InsertedLines, Replacements
@@ -96,7 +96,7 @@ class _Rewriter:
         stem = PurePath(self.documents[0].name).stem.upper()
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
         self.trace = layout.execution.trace
-        self.sources = [layout.execution.main.source, *(Source.of(document, 1) for document in data)]
+        self.sources = [layout.execution.main.source, *(Source.of(document, DAT) for document in data)]
         self.comment_lines = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
@@ -135,7 +135,7 @@ class _Rewriter:
             move.end.name or (move.via and move.via.name) for move in moves.values()
         )
         # lines of all motions that are not in `statements`: they name no points, except array elements
-        plain_rows = np.delete(self.layout.line, list(moves))
+        plain_rows = np.delete(self.layout.trace_row, list(moves))
         return mentions(self.layout.execution, plain_rows) if has_names else {}
 
     def _is_straightened(self) -> Bools:
@@ -190,7 +190,7 @@ class _Rewriter:
         folded_program = fold(execution, execution.main, new_rows)
         files |= {document.name: document for document in folded_program.documents}
         self.issues = [*map(self._with_reported_line, self.issues), *folded_program.issues]
-        trace_row = self.layout.line[self.motion_of_target]
+        trace_row = self.layout.trace_row[self.motion_of_target]
         # number of lines between the first line of the corrected row of the motion and the line of the target
         following_count = line - (new_rows.begins[trace_row - 1] + 1)
         return tuple(files.values()), folded_program.line[trace_row] + np.where(
@@ -222,7 +222,7 @@ class _Rewriter:
 
     def _replace_text(self, motion: int, piece: Replacement) -> None:
         """Replace a piece of the line of a motion."""
-        self.replacements[0].add(*piece, self.layout.line.item(motion))
+        self.replacements[0].add(*piece, self.layout.trace_row.item(motion))
 
     def _replace_numbers(self, changed_targets: Ints) -> None:
         """Replace the numbers of targets in plain lines and of array elements in data lists, in bulk.
@@ -239,7 +239,7 @@ class _Rewriter:
                 self.layout.spans(self.motion_of_target[targets], slice(6)).astype(np.int64), 2, 0
             )
             numbers, decimals = self.target_numbers.numbers[targets], self.target_numbers.decimals[targets]
-            trace_rows = np.broadcast_to(self.layout.line[self.motion_of_target[targets], None], starts.shape)
+            trace_rows = np.broadcast_to(self.layout.trace_row[self.motion_of_target[targets], None], starts.shape)
             for index, replacements in enumerate(self.replacements):
                 in_file = (starts >= 0) & (file[self.motion_of_target[targets]] == index)[:, None]
                 replacements.add_numbers(
@@ -256,7 +256,7 @@ class _Rewriter:
         decimals = np.tile(DECIMALS[:3], len(circles))
         numbers, rows = (
             self.target_numbers.via[circles].reshape(-1),
-            np.repeat(self.layout.line[self.motion_of_target[circles]], 3),
+            np.repeat(self.layout.trace_row[self.motion_of_target[circles]], 3),
         )
         self.replacements[0].add_numbers(spans[:, 0], spans[:, 1], numbers, decimals, rows)
 
@@ -306,16 +306,17 @@ class _Rewriter:
             return
         if differs and move.angle is not None:
             self._replace_text(motion, Replacement(move.end.stop, move.tail_start, ""))
-            self._report("angle-dropped", "CA is dropped: the end point is written as where the arc ends.", move.line)
+            message = "CA is dropped: the end point is written as where the arc ends."
+            self._report("angle-dropped", message, move.trace_row)
         texts = self.statements.end_texts(target, move.end, includes_unchanged=needs_all_numbers) if differs else None
         self._rewrite_point(
-            Use(move.line, move.end, texts, partial(self.statements.whole_literal, target, move.end)), points
+            Use(move.trace_row, move.end, texts, partial(self.statements.whole_literal, target, move.end)), points
         )
         if move.via is not None:
             # empty if the target has no auxiliary point: that of the statement stays
             via = self.target_numbers.via_texts(target)
             self._rewrite_point(
-                Use(move.line, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
+                Use(move.trace_row, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
             )
 
     def _has_other_path(self, motion: int, target: int, move: MotionStatement) -> bool:
@@ -340,7 +341,7 @@ class _Rewriter:
         if move.relative_axes:
             if move.frame_span is not None:
                 self._replace_text(motion, Replacement(*move.frame_span, ""))
-            self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.line)
+            self._report("relative-made-absolute", "A relative target is written as an absolute one.", move.trace_row)
 
     def _rewrite_point(self, use: Use, points: NamedPoints) -> None:
         """Edit the numbers of a point in its statement if they are there; otherwise add its use to `points`.
@@ -357,7 +358,7 @@ class _Rewriter:
 
     def _insert_lines(self) -> Ints:
         """Insert lines for targets, force comments and settings; return the new line (K,) of each target."""
-        line = self.layout.line[self.motion_of_target]
+        line = self.layout.trace_row[self.motion_of_target]
         lines = InsertedLines(self.trace, self.replacements[0])
         following_line, moved_triggers = self._place_triggers()
         forces = self._missing_force_comments(line, following_line)
@@ -376,7 +377,7 @@ class _Rewriter:
             if target in free_targets:
                 lines.add(next_line, indent + ORIENTATION_SETTING + FREE + line_end)
             for trigger, text in moved_triggers.get(target, ()):
-                lines.move_line(trigger.line, next_line, text)
+                lines.move_line(trigger.trace_row, next_line, text)
             if target in forces and not self._replace_comment(target, forces[target]):
                 lines.add(next_line, forces[target] + line_end)
             if not self.is_last[target]:
@@ -400,7 +401,7 @@ class _Rewriter:
         lines.add(next_line, text, target)
         if not self.layout.is_in_spline_block[motion] and not is_approximated(text):
             reason = _BLENDED_STOP if self.layout.is_distance_known[motion] else _UNKNOWN_DISTANCE
-            self._report("stop-inserted", reason, self.layout.line.item(motion))
+            self._report("stop-inserted", reason, self.layout.trace_row.item(motion))
 
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
@@ -432,7 +433,7 @@ class _Rewriter:
         if feed_as_read is None or not len(rows):
             return {}, {}
         # between two lowered motions on consecutive lines the feed is not restored
-        is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.line[rows]) == 1)
+        is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.trace_row[rows]) == 1)
         has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
         lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
         # motions of targets ascend: first target of each motion, and last target
@@ -498,7 +499,7 @@ class _Rewriter:
 
         :param text: the new comment.
         """
-        line = int(self.layout.line[self.motion_of_target[target]])
+        line = int(self.layout.trace_row[self.motion_of_target[target]])
         if not self.is_last[target] or line not in self.comment_lines:
             return False
         source, number = self.trace.place(line)
@@ -518,13 +519,13 @@ class _Rewriter:
         """
         following_line: dict[int, int] = {}
         moved_lines: dict[int, list[tuple[Trigger, str]]] = {}
-        for motion, triggers in groupby(self.layout.triggers, attrgetter("row")):
+        for motion, triggers in groupby(self.layout.triggers, attrgetter("motion")):
             first, stop = np.searchsorted(self.motion_of_target, [motion, motion + 1]).tolist()  # targets of the motion
             if stop - first < 2:
                 continue  # no target is inserted into it
             speed = float(self.program.motions.feed[motion])
             placed_triggers = place_triggers(
-                tuple(triggers), self.layout.line.item(motion), self.targets.t[first:stop], speed
+                tuple(triggers), self.layout.trace_row.item(motion), self.targets.t[first:stop], speed
             )
             following_line |= dict(zip(range(first, stop - 1), placed_triggers.target_lines, strict=True))
             for target, moved_triggers in enumerate(placed_triggers.moved_triggers, first):
@@ -535,7 +536,7 @@ class _Rewriter:
                     ]
             self._change_paths(placed_triggers)
             self.issues += [
-                Issue("error", "trigger", _LOST_TRIGGER, trigger.line) for trigger in placed_triggers.lost_triggers
+                Issue("error", "trigger", _LOST_TRIGGER, trigger.trace_row) for trigger in placed_triggers.lost_triggers
             ]
         return following_line, moved_lines
 
@@ -544,14 +545,14 @@ class _Rewriter:
         moved_triggers = {trigger for triggers in placed_triggers.moved_triggers for trigger in triggers}
         for trigger, path in placed_triggers.path_texts.items():
             if trigger not in moved_triggers and trigger.path_span is not None:
-                self.replacements[0].add(*trigger.path_span, path, trigger.line)
+                self.replacements[0].add(*trigger.path_span, path, trigger.trace_row)
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
         """Return the line of a TRIGGER with its line end.
 
         :param path: new number of PATH; None leaves it unchanged.
         """
-        source, line = self.trace.place(trigger.line)
+        source, line = self.trace.place(trigger.trace_row)
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
         if path is None or trigger.path_span is None:
             return text[start:stop]

@@ -18,7 +18,7 @@ from postproc.dialects.krl.language.names import DECLARATIONS, MAX_LENGTH, unuse
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN
 from postproc.dialects.krl.language.routines import Routine
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import DAT, SRC, Source
 from postproc.dialects.krl.language.tokens import (
     NAME,
     key_word,
@@ -104,7 +104,7 @@ class Sharing:
         self.base, self.used_names = base, used_names
         self.source, data, self.main, self.subroutines, self.file = program
         main = self.main
-        self.data = None if data is None else Source.of(data, 1)
+        self.data = None if data is None else Source.of(data, DAT)
         self.data_lines = [] if self.data is None else [item for item in data_lines(self.data) if not item.is_global]
         self.declarations_of_line = {
             item.line: list(_data_declarations(self.data, item)) for item in self.data_lines if self.data is not None
@@ -140,7 +140,7 @@ class Sharing:
         edits = Replacements()
         declarations = self._move_declarations(new_locals, edits)
         self._rename_uses(new_locals, global_names, routines, edits)
-        source = Source.of(replace(self.source.document, text=edits.apply(self.source.text)), 0)
+        source = Source.of(replace(self.source.document, text=edits.apply(self.source.text)), SRC)
         return SharedProgram(source, self._data_file(global_names, declarations), routines)
 
     # --- shared names ----------------------------------------------------------------------------------------------

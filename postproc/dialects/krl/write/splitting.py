@@ -29,7 +29,7 @@ from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.parts import MAIN, joined_program, separated_texts
 from postproc.dialects.krl.language.routines import Module, routines
 from postproc.dialects.krl.language.scan import text_with_name
-from postproc.dialects.krl.language.source import Source
+from postproc.dialects.krl.language.source import DAT, SRC, Source
 from postproc.dialects.krl.language.tokens import names_in, word_at
 from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import division_error, find_cut_points, part_bounds
@@ -51,7 +51,7 @@ def files_with_data(sources: Sequence[Document], data: Document | None) -> Itera
     if data is None:
         yield from sources
         return
-    source = Source.of(data, 1)
+    source = Source.of(data, DAT)
     lines = data_lines(source)
     all_texts = {line: line_text(source, line) for line in range(1, len(source.starts) + 1)}
     header = [text for text in all_texts.values() if text[0] == "&"]
@@ -120,11 +120,11 @@ def split_files(
         return _restore_files(documents, output, limit)
     # line feeds are counted fast; lines may also end with CR alone
     if not limit or (
-        output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], 0).starts) <= limit
+        output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], SRC).starts) <= limit
     ):
         return output
     if resume_place:
-        raise division_error(Source.of(output.documents[0], 0), f"{_RESUME_PROBLEM}, in {resume_place}", 1)
+        raise division_error(Source.of(output.documents[0], SRC), f"{_RESUME_PROBLEM}, in {resume_place}", 1)
     return _Splitter(name, output, limit, used_names).write()
 
 
@@ -178,7 +178,7 @@ class _Splitter:
             parameters.
         """
         self.undivided, self.limit, self.issues = output, limit, list(output.issues)
-        self.source = Source.of(output.documents[0], 0)
+        self.source = Source.of(output.documents[0], SRC)
         lines = range(1, len(self.source.starts) + 1)
         routine_of, faults = routines(self.source, lines, np.zeros(0, dtype=np.int64))
         if faults:

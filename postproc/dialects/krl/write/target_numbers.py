@@ -161,7 +161,7 @@ def _starts_at_changed_end(motion: Ints, end_differs: Bools, layout: Layout) -> 
     :param motion: (n,) motions with targets.
     :param end_differs: (n,) True where the end of the motion has changed.
     """
-    start_differs = np.zeros(len(layout.line), dtype=np.bool_)
+    start_differs = np.zeros(len(layout.trace_row), dtype=np.bool_)
     next_motion = motion + 1
     has_next = next_motion < len(start_differs)
     start_differs[next_motion[has_next]] = end_differs[has_next]
@@ -221,7 +221,7 @@ def _input_decimals(layout: Layout) -> Ints:
     for elements in layout.elements:
         spans[elements.row] = -1  # offsets in another file: handled below
     decimals = np.zeros(spans.shape[:2], dtype=np.int64)
-    file = trace.file[layout.line - 1]
+    file = trace.file[layout.trace_row - 1]
     for index, source in enumerate(trace.sources):
         decimals[file == index] = _decimals_in(source.text, spans[file == index])
     for elements in layout.elements:

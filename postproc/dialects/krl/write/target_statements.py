@@ -306,7 +306,7 @@ class TargetStatements:
         ignores_auxiliary = (
             is_circle and not is_straightened and bool(self.target_numbers.drops_via_orientation[motion])
         )
-        source, line = self.layout.execution.trace.place(self.layout.line.item(motion))
+        source, line = self.layout.execution.trace.place(self.layout.trace_row.item(motion))
         node = statement(source, line) if is_free or is_straightened or ignores_auxiliary else None
         if not isinstance(node, Motion):
             return source.text[slice(*self.layout.tail[motion].tolist())]
@@ -324,12 +324,12 @@ class TargetStatements:
 
     def indent(self, motion: int) -> str:
         """Return the text before the instruction on the line of a motion."""
-        source, line = self.layout.execution.trace.place(self.layout.line.item(motion))
+        source, line = self.layout.execution.trace.place(self.layout.trace_row.item(motion))
         return source.text[source.starts[line - 1] : self.layout.keyword[motion]]
 
     def line_end(self, motion: int) -> str:
         """Return the line end of the line of a motion."""
-        source, line = self.layout.execution.trace.place(self.layout.line.item(motion))
+        source, line = self.layout.execution.trace.place(self.layout.trace_row.item(motion))
         return source.text[source.stops[line - 1] : source.starts[line]]  # a line always follows: END at least
 
     def absolute_statement(self, motion: int, target: int) -> Replacement:
@@ -401,7 +401,8 @@ def consecutive_motions(layout: Layout, rows: Ints) -> list[tuple[int, int]]:
 
 def _is_next_line(layout: Layout, motion: int) -> bool:
     """Return whether only comments are between a motion and the motion before it, in the trace and in the file."""
-    trace, previous_row, motion_row = layout.execution.trace, int(layout.line[motion - 1]), int(layout.line[motion])
+    trace = layout.execution.trace
+    previous_row, motion_row = layout.trace_row[motion - 1 : motion + 1].tolist()
     (source, first), (second_source, last) = trace.place(previous_row), trace.place(motion_row)
     if source is not second_source or last - first != motion_row - previous_row:
         return False

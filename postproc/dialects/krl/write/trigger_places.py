@@ -87,6 +87,6 @@ def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: f
             continue
         earliest_piece = piece
         if trigger.is_attached:  # the ends of earlier pieces precede the TRIGGER
-            placement.target_lines[:piece] = [trigger.line] * piece
+            placement.target_lines[:piece] = [trigger.trace_row] * piece
     placement.lost_triggers.reverse()
     return placement
