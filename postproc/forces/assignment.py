@@ -23,9 +23,9 @@ _CONTINUOUS_SHARE = 2e-3
 
 
 def assign(program: Program, path: Segments, source: ForceSource | None, axis: str, ramp: float) -> PathForces:
-    """Return the forces along the motions of a program; `precedence` states which source counts on which motion.
+    """Return the forces along the motions of a program, from a source and from the comments of the program.
 
-    Rapid moves have no force.
+    The source counts on the motions that it covers, comments on the others. Rapid moves have no force.
 
     :param path: the geometry of the motions.
     :param source: forces in addition to the comments of the program; None: the comments only.
@@ -120,9 +120,9 @@ def _forces_with_ramps(knots: Knots, axes: Axes, ramp: float, is_released: Bools
     """Return the forces from knots that cover every motion, with ramps inserted.
 
     A ramp needs a second knot at the start of its motion, with the values at the end of the motion before. The only
-    knot of a ramped motion moves to the end of the ramp.
+    knot of a ramped motion (one wrench for the whole motion) moves to the end of the ramp.
 
-    :param knots: in order, at least one on every motion.
+    :param knots: wrenches at places along motions, in order, at least one on every motion.
     :param axes: axes of the forces, with program and path.
     :param ramp: length over which a force builds up if it is given for a whole motion [m].
     :param is_released: (M,) True for motions at whose end the force ends: a ramp that follows begins without force.
@@ -131,27 +131,27 @@ def _forces_with_ramps(knots: Knots, axes: Axes, ramp: float, is_released: Bools
     first = np.searchsorted(knots.motion, np.append(motions, len(motions)))
     last = first[1:] - 1  # last knot of each motion
     start = _start_forces(knots, last, axes, is_released)
-    has_ramp = knots.ramped[last]
-    changes = has_ramp & _has_changed_force(start, knots, last)
-    ramp_knots = first[:-1][changes]  # a ramped motion has one knot
+    is_ramped = knots.ramped[last]
+    has_ramp = is_ramped & _has_changed_force(start, knots, last)  # an equal force needs no second knot
+    ramp_knots = first[:-1][has_ramp]  # a ramped motion has one knot
     t = knots.t.copy()
-    t[ramp_knots] = ramp / np.maximum(axes.path.length[changes], ramp)  # a motion shorter than the ramp is all ramp
+    t[ramp_knots] = ramp / np.maximum(axes.path.length[has_ramp], ramp)  # a motion shorter than the ramp is all ramp
     t = np.insert(t, ramp_knots, 0.0)
     spread = None
     if start.spread is not None:
-        spread = np.insert(_covariance_factors(knots.sigma), ramp_knots, start.spread[changes], axis=0)
-    first = first + np.concatenate([[0], np.cumsum(changes)])  # after the inserted knots
+        spread = np.insert(_covariance_factors(knots.sigma), ramp_knots, start.spread[has_ramp], axis=0)
+    first = first + np.concatenate([[0], np.cumsum(has_ramp)])  # after the inserted knots
     return PathForces(
         axes=axes,
         first=compact(first, np.int32),
         place=np.repeat(motions, np.diff(first)) + t,
         t=t,
-        wrench=Runs.of(np.insert(knots.wrench, ramp_knots, start.wrench[changes], axis=0)),
-        knot_frame=compact(np.insert(knots.frame, ramp_knots, start.frame[changes]), np.int8),
+        wrench=Runs.of(np.insert(knots.wrench, ramp_knots, start.wrench[has_ramp], axis=0)),
+        knot_frame=compact(np.insert(knots.frame, ramp_knots, start.frame[has_ramp]), np.int8),
         spread=spread,
-        factor=_factors_with_ramps(knots.factor, last, changes, ramp_knots, axes.program),
+        factor=_factors_with_ramps(knots.factor, last, has_ramp, ramp_knots, axes.program),
         frame=compact(knots.frame[last], np.int8),
-        ramped=has_ramp,
+        ramped=is_ramped,
     )
 
 
@@ -179,13 +179,13 @@ def _start_forces(knots: Knots, last: Ints, axes: Axes, is_released: Bools) -> _
     wrench, frame = knots.wrench.take(last, axis=0), knots.frame[last]
     end_wrench = np.where(is_released[:, None], 0.0, wrench) if is_released.any() else wrench
     start_wrench, start_frame = axes.wrench_at_start(end_wrench, frame), np.full(len(last), BASE)
-    steady = _continuing_motions(wrench, frame, start_wrench, axes)
-    start_wrench[steady], start_frame[steady] = wrench[steady], frame[steady]
+    continuing = _continuing_motions(wrench, frame, start_wrench, axes)
+    start_wrench[continuing], start_frame[continuing] = wrench[continuing], frame[continuing]
     if not knots.sigma.any():
         return _StartForces(start_wrench, start_frame, None)
     spread = _covariance_factors(knots.sigma[last])
     start_spread = axes.columns_at_start(np.where(is_released[:, None, None, None], 0.0, spread), frame)
-    start_spread[steady] = spread[steady]
+    start_spread[continuing] = spread[continuing]
     return _StartForces(start_wrench, start_frame, start_spread)
 
 
@@ -205,19 +205,20 @@ def _covariance_factors(sigma: Array) -> Array:
     return np.asarray(sigma.reshape(-1, 2, 3, 1) * np.eye(3))
 
 
-def _factors_with_ramps(factor: Array, last: Ints, changes: Bools, ramp_knots: Ints, program: Program) -> Array:
-    """Return the standard deviations of the factor at knots, after knots are inserted for ramps.
+def _factors_with_ramps(factor: Array, last: Ints, has_ramp: Bools, ramp_knots: Ints, program: Program) -> Array:
+    """Return the standard deviations of the unknown factor of the wrench at knots, after knots are inserted for ramps.
 
     An inserted knot gets the value of the motion before; 0 at the start of the program.
 
     :param factor: (K,) values at the knots without the inserted ones, and `last` (M,) the last knot of each motion.
-    :param changes: (M,) True for motions with an inserted knot.
+    :param has_ramp: (M,) True for motions with an inserted knot.
     :param ramp_knots: the knots before which they are inserted.
     """
     if not factor.any():
         return constant(0.0, len(factor) + len(ramp_knots))
-    previous = predecessors(program)[changes]
-    return np.insert(factor, ramp_knots, np.where(previous >= 0, factor[last[previous]], 0.0))
+    previous = predecessors(program)[has_ramp]
+    has_predecessor = previous >= 0
+    return np.insert(factor, ramp_knots, np.where(has_predecessor, factor[last[previous]], 0.0))
 
 
 def _continuing_motions(wrench: Array, frame: Ints, previous: Array, axes: Axes) -> Ints:

@@ -124,7 +124,7 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     rows, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, rows, end), axis)
     x, is_undefined = _end_directions(program, path, z)
-    source = _last_motion_across(predecessors(program), is_undefined)
+    source = _last_motion_across(predecessors(program), is_undefined)  # the motion whose direction each motion gets
     # before the first motion across the spindle, this motion is the source; −1 if no motion runs across it
     source[source < 0] = -1 if is_undefined.all() else int(np.argmin(is_undefined))
     rotation = program.bases[:, :3, :3]
@@ -168,7 +168,7 @@ def _last_motion_across(previous: Ints, is_undefined: Bools) -> Ints:
     previous = np.append(np.where(previous == rows, -1, previous), -1)  # the last row, −1, is the start of the program
     # a motion with a direction is its own source, any other first points to the motion before it
     source = np.where(np.append(is_undefined, False), previous, np.append(rows, -1))
-    for _ in range(len(is_undefined).bit_length()):  # each round follows twice as many motions
+    for _ in range(len(is_undefined).bit_length()):  # each repetition follows twice as many motions
         source = source[source]
     return np.asarray(source[previous[:-1]])
 
@@ -224,8 +224,9 @@ class Axes(Struct, frozen=True, eq=False):
         return self._rotate_columns(columns, frame, sample, "nji,nhjm->nhim")
 
     def _rotate_columns(self, columns: Array, frame: Ints, sample: Toolpath, product: str) -> Array:
-        """Return columns (n, 2, 3, m) rotated between frames (n,) at samples and `$BASE`.
+        """Return columns (n, 2, 3, m) of force and moment rotated between their frames and `$BASE`.
 
+        :param frame: (n,) `BASE`, `TOOL` or `FEED`, whose axes are those at the samples.
         :param product: subscripts of einsum that apply the rotation from a frame to `$BASE`, or its transpose.
         """
         rotated_columns = columns.copy()

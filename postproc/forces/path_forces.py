@@ -1,10 +1,10 @@
 """The wrench anywhere on the path of a program, from the sources of its forces; and where that needs samples.
 
 Samples are needed where the estimated displacement changes, and where FEED axes swing. Near the direction of the
-spindle these turn by up to half a turn within a short part of an arc, or of a line that turns the tool. Pieces of one
-size for the whole motion would be too many, so each piece is halved as long as its circle or line deviates from the
-displacement by the force at its quarters. That needs only the wrench; the simulation of the written program finds the
-response of the robot.
+spindle these turn by up to half a turn within a short part of an arc, or of a line that turns the tool. Pieces (parts
+of a motion, each written as one motion) of one size for the whole motion would be too many, so each piece is halved as
+long as its circle or line deviates from the displacement by the force at its quarters. That needs only the wrench; the
+simulation of the written program finds the response of the robot.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ BEHIND_STEP = 1e-5
 class PathForces(Struct, frozen=True, eq=False):
     """The forces along the M motions of a program: K knots, at least one for each motion, linear between them.
 
-    The knots are those of the sources. If the force of a motion is ramped, a knot at its start has the wrench at the
-    end of the motion before, in `$BASE` axes, and the wrench of the motion follows at the end of the ramp. If a force
-    in FEED axes starts with the value at which the force before ends, it has no ramp and turns with the path.
+    A knot is a wrench at a place on a motion; the sources of forces state them. A force is ramped if it builds up over
+    the first `force_ramp_mm` of its motion: a knot at the start has the wrench at the end of the motion before, in
+    `$BASE` axes, and the wrench of the motion follows at the end of the ramp. If a force in FEED axes starts with the
+    value at which the force before ends, it has no ramp and turns with the path.
 
     :param axes: axes of the forces, which rotate them into `$BASE` axes.
     :param first: (M + 1,) the knots of motion i are those from first[i] to first[i + 1] (exclusive).
     :param place: (K,) row of `Motions` plus t: a sorted key; the end of a motion equals the start of the next one.
-    :param t: (K,) position on the motion in [0, 1].
+    :param t: (K,) position on the motion: 0 at its start, 1 at its end.
     :param wrench: (K, 6) Fx…Mz [N, N·m] on the tool at its tip, in the axes that `knot_frame` names.
     :param knot_frame: (K,) `BASE`, `TOOL` or `FEED`.
     :param spread: (K, 2, 3, 3) L of the covariances L·Lᵀ of force and moment, in the same axes; None if all are zero.
@@ -63,7 +64,7 @@ class PathForces(Struct, frozen=True, eq=False):
     stock: StockInTime | None = None
 
     def at(self, sample: Toolpath) -> Array:
-        """Return the wrench (N, 6) at samples of the path [N, N·m], `$BASE` axes of their motions."""
+        """Return the wrench (N, 6) at samples of the path [N, N·m] on the tool at its tip, `$BASE` axes."""
 
         def wrench_columns(knots: Ints) -> Array:
             """Return force and moment (k, 2, 3, 1) at knots (k,), in their frames."""
@@ -72,15 +73,19 @@ class PathForces(Struct, frozen=True, eq=False):
         return self._columns_in_base(wrench_columns, sample).reshape(-1, 6)
 
     def spread_at(self, sample: Toolpath) -> Array | None:
-        """Return L (N, 2, 3, 3) of the covariances L·Lᵀ of force [N²] and moment [(N·m)²] at samples, `$BASE` axes.
+        """Return the spread L (N, 2, 3, 3) of force and moment at samples, `$BASE` axes; None if all are zero.
 
-        None if all are zero.
+        The covariances of force [N²] and moment [(N·m)²] are L·Lᵀ.
         """
         spread = self.spread
         return None if spread is None else self._columns_in_base(lambda knots: spread.take(knots, axis=0), sample)
 
     def factor_at(self, sample: Toolpath) -> Array:
-        """Return the standard deviation (N,) of one factor of the whole wrench at samples, that at the next knot."""
+        """Return the standard deviation (N,) of one unknown factor of the whole wrench at samples.
+
+        Such a factor is common to all forces of a cutting law, as for a harder material. A sample has that of the next
+        knot.
+        """
         return np.asarray(self.factor[self._next_knot(sample)])
 
     def spread_in_root(self, sample: Toolpath) -> Array | None:
@@ -93,21 +98,21 @@ class PathForces(Struct, frozen=True, eq=False):
         spread = self.spread_at(sample)
         if spread is None:
             return None
-        independent = _wrench_columns(columns_in_root(self.axes.program, sample.motion, spread))
+        independent_columns = _wrench_columns(columns_in_root(self.axes.program, sample.motion, spread))
         if not self.factor.any():
-            return independent
+            return independent_columns
         remaining, factor = (
             columns_in_root(self.axes.program, sample.motion, self._columns_in_base(deviation, sample))
             for deviation in (self._remaining_deviation, self._factor_deviation)
         )
-        return np.concatenate([independent, _wrench_columns(remaining), factor.reshape(-1, 6, 1)], axis=2)
+        return np.concatenate([independent_columns, _wrench_columns(remaining), factor.reshape(-1, 6, 1)], axis=2)
 
     def _factor_deviation(self, knots: Ints) -> Array:
-        """Return the change (n, 2, 3, 1) of the wrench at knots for one standard deviation of its factor."""
+        """Return the change (n, 2, 3, 1) of force and moment at knots (n,) for one standard deviation of the factor."""
         return np.asarray((self.wrench.take(knots) * self.factor[knots, None]).reshape(-1, 2, 3, 1))
 
     def _remaining_deviation(self, knots: Ints) -> Array:
-        """Return L (n, 2, 3, 3) of the covariances at knots, without the part of the variance that the factor makes."""
+        """Return the spread L (n, 2, 3, 3) at knots (n,), without the variance that the unknown factor causes."""
         assert self.spread is not None
         total_variance = np.sum(np.square(self.spread.take(knots, axis=0)), axis=3)
         variance = total_variance - np.square(self._factor_deviation(knots))[..., 0]
@@ -148,15 +153,17 @@ class PathForces(Struct, frozen=True, eq=False):
         # at a knot, and before the first one of a motion, the knot itself counts: left is right there
         left = np.where(self.t[right] > t, np.maximum(right - 1, self.first[sample.motion]), right)
         values, frame = columns(right), self.knot_frame[right]
-        inner_rows = np.flatnonzero(left != right)
+        inner_rows = np.flatnonzero(left != right)  # samples between two knots
         left, right = left[inner_rows], right[inner_rows]
         share = ((t[inner_rows] - self.t[left]) / (self.t[right] - self.t[left]))[:, None, None, None]
-        begin = columns(left)
-        same_frame = self.knot_frame[left] == frame[inner_rows]
-        steady_rows, ramp_rows = inner_rows[same_frame], inner_rows[~same_frame]
-        values[steady_rows] = begin[same_frame] + share[same_frame] * (values[steady_rows] - begin[same_frame])
+        left_values = columns(left)
+        has_same_frame = self.knot_frame[left] == frame[inner_rows]
+        same_frame_rows, ramp_rows = inner_rows[has_same_frame], inner_rows[~has_same_frame]
+        difference = values[same_frame_rows] - left_values[has_same_frame]
+        values[same_frame_rows] = left_values[has_same_frame] + share[has_same_frame] * difference
         values = self.axes.in_base_axes(values, frame, sample)
-        values[ramp_rows] = begin[~same_frame] + share[~same_frame] * (values[ramp_rows] - begin[~same_frame])
+        ramp_difference = values[ramp_rows] - left_values[~has_same_frame]
+        values[ramp_rows] = left_values[~has_same_frame] + share[~has_same_frame] * ramp_difference
         return values
 
 
@@ -179,22 +186,22 @@ def displacement_estimate(forces: PathForces, compliance: tuple[float, float]) -
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """
     m, path = forces.axes.program.motions, forces.axes.path
-    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))
-    change, bends = _changes_and_bends(forces, motion)
+    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))  # of each knot
+    change, has_bend = _changes_and_bends(forces, motion)
     step_size = _displacement_sizes(_force_steps(forces), compliance)
     step_motions = np.flatnonzero(step_size > _LEAST_STEP)
     # `BEHIND_STEP` behind the start of the motion, at most in its middle
     step_t = np.minimum(0.5, BEHIND_STEP / np.maximum(path.length[step_motions], BEHIND_STEP))
     turning_size, swings = _turning_displacements(forces, motion, compliance)
     # places: the knots that count, and the places behind steps
-    knots = np.flatnonzero(bends | (m.kind[motion] == CIRC))
+    knots = np.flatnonzero(has_bend | (m.kind[motion] == CIRC))
     place_motion, place_t = np.append(motion[knots], step_motions), np.append(forces.t[knots], step_t)
     order = np.lexsort((place_t, place_motion))  # by motion, then by t
     return DisplacementEstimate(
         motion=place_motion[order],
         t=place_t[order],
         change=np.append(_displacement_sizes(change, compliance)[knots], step_size[step_motions])[order],
-        is_bend=np.append(bends[knots], np.ones(len(step_motions), dtype=np.bool_))[order],
+        is_bend=np.append(has_bend[knots], np.ones(len(step_motions), dtype=np.bool_))[order],
         turning=turning_size,
         size=_largest_of_motions(forces, _displacement_sizes(forces.wrench[:], compliance)),
         swings=swings,
@@ -217,13 +224,15 @@ def _largest_of_motions(forces: PathForces, values: Array) -> Array:
     :param values: (K,) values at all knots, 0 or larger.
     """
     first = forces.first[:-1]
-    is_inherited = np.zeros(len(forces.t), dtype=np.bool_)
-    is_inherited[first[forces.ramped & (forces.t[first] == 0.0)]] = True
-    return np.asarray(np.maximum.reduceat(np.where(is_inherited, 0.0, values), first))
+    is_ramp_start = np.zeros(len(forces.t), dtype=np.bool_)
+    is_ramp_start[first[forces.ramped & (forces.t[first] == 0.0)]] = True
+    return np.asarray(np.maximum.reduceat(np.where(is_ramp_start, 0.0, values), first))
 
 
 def _turning_displacements(forces: PathForces, motion: Ints, compliance: tuple[float, float]) -> tuple[Array, Bools]:
     """Return sizes (M,) [m] of the displacement that turns with arcs, and True (M,) for arcs on which FEED axes swing.
+
+    They swing where the travel comes near the direction of the spindle: there they turn much faster than the travel.
 
     :param motion: (K,) motion of each knot.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
@@ -249,34 +258,34 @@ def _changes_and_bends(forces: PathForces, motion: Ints) -> tuple[Array, Bools]:
     :returns: the change [N, N·m] in the axes of the later knot, zero at the first knot of a motion.
     """
     t = forces.t
-    follows = np.append(False, np.diff(motion) == 0)  # knots that follow another knot of the same motion
+    has_predecessor = np.append(False, np.diff(motion) == 0)  # knots that follow another knot of the same motion
     # wrenches in the same frame are subtracted; otherwise both are turned into the axes of the later knot
-    same_frame = follows & (np.diff(forces.knot_frame, prepend=0) == 0)
+    has_same_frame = has_predecessor & (np.diff(forces.knot_frame, prepend=0) == 0)
     change = np.diff(forces.wrench[:], axis=0, prepend=forces.wrench[:1])
-    change[~same_frame] = 0.0
-    rows = np.flatnonzero(follows & ~same_frame)
+    change[~has_same_frame] = 0.0
+    rows = np.flatnonzero(has_predecessor & ~has_same_frame)  # ends of ramps: the knot before is in `$BASE` axes
     place = at(forces.axes.program, forces.axes.path, motion[rows], t[rows])
     change[rows] = forces.at(place) - forces.wrench[rows - 1]
-    return change, _has_rate_change(t, change, follows)
+    return change, _has_rate_change(t, change, has_predecessor)
 
 
-def _has_rate_change(t: Array, change: Array, follows: Bools) -> Bools:
+def _has_rate_change(t: Array, change: Array, has_predecessor: Bools) -> Bools:
     """Return True for knots (K,) inside of a motion at which the rate of the force changes.
 
     :param t: (K,) position of the knots on their motions, in [0, 1].
     :param change: (K, 6) change of the force since the knot before [N, N·m].
-    :param follows: (K,) True for knots that follow another knot of the same motion.
+    :param has_predecessor: (K,) True for knots that follow another knot of the same motion.
     """
-    bends = np.zeros(len(t), dtype=np.bool_)
+    has_change = np.zeros(len(t), dtype=np.bool_)
     knots = np.flatnonzero((t > 0.0) & (t < 1.0))
     # t since the knot before; infinite where there is none, also behind the last knot: the rate is 0 there
-    interval = np.append(np.where(follows, np.diff(t, prepend=0.0), np.inf), np.inf)
+    interval = np.append(np.where(has_predecessor, np.diff(t, prepend=0.0), np.inf), np.inf)
     next_change = change[np.minimum(knots + 1, len(t) - 1)]
     rate_change = next_change / interval[knots + 1, None] - change[knots] / interval[knots, None]
     # a change of the rate counts by the change of force that it makes over the interval before it
-    width = np.where(follows[knots], interval[knots], 1.0)
-    bends[knots] = largest(rate_change * width[:, None]) >= _LEAST_CHANGE
-    return bends
+    width = np.where(has_predecessor[knots], interval[knots], 1.0)
+    has_change[knots] = largest(rate_change * width[:, None]) >= _LEAST_CHANGE
+    return has_change
 
 
 def _force_steps(forces: PathForces) -> Array:
@@ -293,7 +302,7 @@ def _force_steps(forces: PathForces) -> Array:
 _LEAST_PIECE = 1e-7
 """Pieces shorter than this [m, share of the motion] are not halved: the decimals of a program do not resolve them."""
 _QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
-"""Shares of a piece at which its circle, or its chord, is compared with the displacement."""
+"""Shares of a piece (0 at its start, 1 at its end) at which its circle or chord is compared with the displacement."""
 
 
 def refined_arcs(
@@ -301,6 +310,8 @@ def refined_arcs(
 ) -> Pieces:
     """Return the pieces, halved where the force swings, until their circles follow it or the pieces are too short.
 
+    :param arcs: the division of the arcs into pieces, each of which is written as one circle.
+    :param estimate: says on which arcs the force swings.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     :param limit: permitted deviation [m].
     """
@@ -308,7 +319,7 @@ def refined_arcs(
     if not swings.any():
         return arcs
     open_pieces = arcs.take(swings)
-    open_pieces = open_pieces.with_enough_pieces(open_pieces.min_number).cut(open_pieces.min_number)
+    open_pieces = open_pieces.with_enough_pieces(open_pieces.min_number).divided(open_pieces.min_number)
     finished_pieces = [arcs.take(~swings)]
     length = forces.axes.path.length
     while len(open_pieces.motion):
@@ -317,7 +328,7 @@ def refined_arcs(
         is_too_coarse = is_divisible & (_circle_deviation(forces, open_pieces, compliance) > limit)
         finished_pieces.append(open_pieces.take(~is_too_coarse))
         open_pieces = open_pieces.take(is_too_coarse)
-        open_pieces = open_pieces.cut(np.full(len(open_pieces.motion), 2))
+        open_pieces = open_pieces.divided(np.full(len(open_pieces.motion), 2))
     return Pieces.join(finished_pieces).sort()
 
 
@@ -373,23 +384,28 @@ def _line_deviation(
 
 
 def _circle_deviation(forces: PathForces, arcs: Pieces, compliance: tuple[float, float]) -> Array:
-    """Return the largest deviation (n,) [m] of pieces from circles through their starts, middles and ends.
+    """Return the largest deviation (n,) [m] of corrected pieces from circles through their starts, middles and ends.
 
-    At quarters of the pieces, the positions of the tool displaced by the force are compared with the circle.
+    A corrected position is about the nominal one less the displacement by the force. It is compared with the circle at
+    the start, the quarters and the end of each piece.
 
+    :param arcs: n pieces of arcs.
     :param compliance: approximate compliance at the tip per force [m/N] and per moment [m/(N·m)].
     """
-    positions = []
+    corrected_positions = []
     for share in _QUARTERS:
         t = np.where(share == 1.0, arcs.end, arcs.begin + share * (arcs.end - arcs.begin))
         sample = at(forces.axes.program, forces.axes.path, arcs.motion, t)
         wrench = forces.at(sample)
-        positions.append(sample.pose.position - compliance[0] * wrench[:, :3] - compliance[1] * wrench[:, 3:])
-    begin, _, middle, _, end = positions  # at five shares, see `_QUARTERS`
+        # a moment counts as a displacement along its axis: only size and change matter to the estimate
+        displacement = compliance[0] * wrench[:, :3], compliance[1] * wrench[:, 3:]
+        corrected_positions.append(sample.pose.position - displacement[0] - displacement[1])
+    begin, _, middle, _, end = corrected_positions  # without those at 0.25 and 0.75
     arc = circle_through(begin, middle, end)
     deviation = np.zeros(len(begin))
-    for share, position in zip(_QUARTERS, positions, strict=True):
+    for share, position in zip(_QUARTERS, corrected_positions, strict=True):
         angle = (arc.angle * share)[:, None]
-        on_circle = np.cos(angle) * arc.radial, np.sin(angle) * arc.tangential
-        deviation = np.maximum(deviation, norm(position - arc.centre - on_circle[0] - on_circle[1]))
+        # `radial` and `tangential` have the length of the radius
+        circle_position = np.cos(angle) * arc.radial, np.sin(angle) * arc.tangential
+        deviation = np.maximum(deviation, norm(position - arc.centre - circle_position[0] - circle_position[1]))
     return deviation

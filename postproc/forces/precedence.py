@@ -70,9 +70,14 @@ def unused_comment_issues(program: Program) -> Iterator[Issue]:
     of KRL repeats the comment that holds there. A comment also counts as used if another force follows before the next
     motion: corrected KRL keeps the comments of the program, before the comments of its pieces.
     """
-    is_followed = [note.before == after.before and any(after.wrench) for note, after in pairwise(program.notes)]
+    # notes that another one follows before the next motion
+    is_replaced = [
+        note.before == next_note.before and any(next_note.wrench) for note, next_note in pairwise(program.notes)
+    ]
     stated_notes = [
-        note for note, skipped in zip_longest(program.notes, is_followed) if any(note.wrench) and not skipped
+        note
+        for note, is_replaced_note in zip_longest(program.notes, is_replaced)
+        if any(note.wrench) and not is_replaced_note
     ]
     if not stated_notes:
         return

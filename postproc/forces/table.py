@@ -2,11 +2,11 @@
 
 The file has one row for the whole of each move, or several along it.
 
-Every written piece is a motion of its own. If the force of a motion is ramped, the force of a piece is ramped at the
-start of the piece and acts in full at its end: so each target gets the wrench that acts there. A force that is given
-along a motion is also given along each of its pieces. The axes are those of `$BASE`, in which the force on a straight
-piece is constant. A FEED force on an arc, and FEED and TOOL forces on a motion that turns the tool, keep their axes,
-which turn along the piece.
+The written program divides a motion into pieces: each ends at a target and is a motion of its own. If the force of a
+motion is ramped (it builds up over the first `force_ramp_mm`), so is that of each piece, and it acts in full at its
+end: so each target gets the wrench that acts there. A force that is given along a motion is also given along each of
+its pieces. The axes are those of `$BASE`, in which the force on a straight piece is constant. A FEED force on an arc,
+and FEED and TOOL forces on a motion that turns the tool, keep their axes, which turn along the piece.
 """
 
 from __future__ import annotations
@@ -363,7 +363,8 @@ _FORCE_TOLERANCE = 2e-3
 def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: Runs) -> TargetForces:
     """Return the wrench at each target for the comments of the written program.
 
-    FEED: a wrench on a piece that ends along the spindle, where these axes are not defined, is given in BASE axes.
+    A target ends a piece of a motion. FEED: a wrench on a piece that ends along the spindle, where these axes are not
+    defined, is given in BASE axes.
 
     :param forces: forces of the program as read.
     :param targets: the K targets to write.
@@ -389,6 +390,8 @@ def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: R
 def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, output_axes: Axes, row: Ints) -> Knots:
     """Return the wrench along each piece for the CSV file of the written program.
 
+    A piece is the part of a motion of the program as read that is written as one motion, up to a target.
+
     :param forces: forces of the program as read, and `targets` the K written targets.
     :param at_end: the wrench at the targets, see `target_forces`.
     :param output_axes: axes of forces along the program as written.
@@ -399,7 +402,7 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     target, share = _knot_places(forces, targets)
     is_ramped = forces.ramped[targets.motion[target]]
     frame = np.where(is_ramped, at_end.frame[target], _piece_frames(forces, targets)[target])
-    begin, end = targets.begin(target), targets.t[target]
+    begin, end = targets.begin(target), targets.t[target]  # of the piece, on the motion as read
     program, path = forces.axes.program, forces.axes.path
     nominal = at(program, path, targets.motion[target], np.where(share == 1.0, end, begin + share * (end - begin)))
     output_place = at(output_axes.program, output_axes.path, row[target], share)
@@ -409,19 +412,20 @@ def piece_knots(forces: PathForces, targets: Targets, at_end: TargetForces, outp
     sigma = np.zeros_like(wrench)
     if spread is not None:
         sigma = norm(output_axes.in_frame_axes(spread, frame, output_place)).reshape(-1, 6)
-    return _needed_knots(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
+    return _without_repeated_forces(Knots(target, share, wrench, frame, sigma, forces.factor_at(nominal), is_ramped))
 
 
 def first_pass_knots(knots: Knots, line: Ints) -> tuple[Knots, Ints]:
     """Return the knots of the first pass of each line, in order of lines, and targets of passes with another force.
 
-    A line is passed several times in loops; a force file has one force for all passes of a line.
+    In loops a line is executed several times (passes); a force file has one force for all passes of a line.
 
     :param knots: knots of all passes, see `piece_knots`: their `motion` is a row of targets.
     :param line: (K,) line of each target in the written program.
     :returns: the knots, and the targets (n,) of later passes whose force differs from that of the first, ascending.
     """
     target, begin, count = np.unique(knots.motion, return_index=True, return_counts=True)
+    # row of `target` with the first pass of each line; and for each target the index of its line
     _, first, line_of_target = np.unique(line[target], return_index=True, return_inverse=True)
     first_pass = first[line_of_target]  # of the line of each target, as a row of `target`
     later_passes = np.flatnonzero(first_pass != np.arange(len(target)))
@@ -448,26 +452,31 @@ def _is_same_force(knots: Knots, first: slice, second: slice) -> bool:
 
 
 def _knot_places(forces: PathForces, targets: Targets) -> tuple[Ints, Array]:
-    """Return the p places on pieces where the force is given: row of the target (p,) and position (p,) on its piece.
+    """Return the p places on pieces where the force is given: row of the target (p,) and share (p,) of its piece.
 
-    Ramped forces are given at the end of the piece; other forces at its start, at the knots between, and at its end.
+    A piece is the part of a motion up to a target; its share is 0 at its start, 1 at its end. Ramped forces build up at
+    the start of each written motion by themselves, so the end of the piece is enough. Other forces are given at the
+    start of the piece, at the knots inside it (the places where the source of forces states a wrench), and at its end.
     """
-    begin, end = targets.begin(np.arange(len(targets))), targets.t
-    # motion + t increases along the program: knots from `low` to `high` (exclusive) are inside the piece
+    begin, end = targets.begin(np.arange(len(targets))), targets.t  # of the piece, as t on its motion: 0 … 1
+    # `forces.place` is motion + t of each knot, ascending: knots from `low` to `high` (exclusive) are inside the piece
     low = np.searchsorted(forces.place, targets.motion + begin + _PLACE_TOLERANCE)
     high = np.maximum(np.searchsorted(forces.place, targets.motion + end - _PLACE_TOLERANCE), low)
-    count = np.where(forces.ramped[targets.motion], 1, high - low + 2)
+    count = np.where(forces.ramped[targets.motion], 1, high - low + 2)  # places on each piece
     target = np.repeat(np.arange(len(targets)), count)
     index = ragged_range(count)
-    is_last = index == count[target] - 1
+    is_start, is_end = index == 0, index == count[target] - 1  # a single place is the end
     # start and end of a piece need no knot: knot 0 is a placeholder, whose share is not used
-    knot = np.where(is_last | (index == 0), 0, low[target] + index - 1)
+    knot = np.where(is_end | is_start, 0, low[target] + index - 1)
     share = (forces.t[knot] - begin[target]) / (end - begin)[target]
-    return target, np.where(is_last, 1.0, np.where(index == 0, 0.0, share))
+    return target, np.where(is_end, 1.0, np.where(is_start, 0.0, share))
 
 
-def _needed_knots(knots: Knots) -> Knots:
-    """Return all knots of pieces with changing force, and the last knot of pieces with constant force."""
+def _without_repeated_forces(knots: Knots) -> Knots:
+    """Return all knots of pieces with changing force, and the last knot of pieces with constant force.
+
+    :param knots: their `motion` is the row of the target at the end of the piece.
+    """
     last = np.flatnonzero(np.diff(knots.motion, append=-1) != 0)
     last_knot = last[np.searchsorted(last, np.arange(len(knots)))]  # of the piece of each knot
     columns = np.hstack([knots.wrench, knots.sigma, knots.factor[:, None]])
@@ -480,7 +489,7 @@ def _needed_knots(knots: Knots) -> Knots:
 
 
 def _piece_frames(forces: PathForces, targets: Targets) -> Ints:
-    """Return the frame (K,) in which the force on each piece is constant or changes linearly."""
+    """Return the frame (K,) in which the force on the piece to each of K targets is constant or changes linearly."""
     frame, turn = forces.frame[targets.motion], forces.axes.path.turn[targets.motion]
     turns_tool = turn > LEAST_TURN
     keeps_frame = (frame == FEED) & ((targets.kind == CIRC) | turns_tool) | (frame == TOOL) & turns_tool

@@ -36,7 +36,7 @@ class JointMoves(Protocol):
     """The tool on motions along which the axes, not the tool, are interpolated (PTP): see `under_load.PtpMoves`."""
 
     def at(self, motion: Ints, t: Array) -> Array:
-        """Return the tool frames (n, 4, 4) in `$BASE` [m] at places (motion, t) of PTP motions."""
+        """Return the tool frames (n, 4, 4) in `$BASE` [m] at t (n,) in [0, 1] along PTP motions (n,)."""
 
     def turn(self, motion: Ints) -> Array:
         """Return the sum of the turns of all axes (n,) [rad] on PTP motions: no part of the arm turns by more."""
@@ -65,7 +65,8 @@ class Segments(Struct, frozen=True, eq=False):
 
     def begin(self, motion: Ints) -> Array:
         """Return the positions (n, 3) where motions (n,) start [m]."""
-        position = self.end.take(motion - 1, axis=0)  # of motion 0, which is a changed one, replaced below
+        # a motion starts where the one before it ends, unless its start pose is stored (`Starts.changed`): motion 0 is
+        position = self.end.take(motion - 1, axis=0)
         index, is_changed = self.start.find_changed(motion)
         position[is_changed] = self.start.pose[index[is_changed], :3, 3]
         return position
@@ -94,7 +95,7 @@ class Arcs(Struct, frozen=True, eq=False):
     sweep: Array
 
     def position(self, motion: Ints, t: Array) -> Array:
-        """Return the positions (n, 3) at places (motion, t) [m]."""
+        """Return the positions (n, 3) [m] at t (n,) in [0, 1] along motions (n,), which are arcs."""
         arc = np.searchsorted(self.motion, motion)
         sine, cosine = sine_and_cosine(self.sweep[arc] * t)
         scale = 1.0 + self.growth[arc] * t
@@ -104,7 +105,7 @@ class Arcs(Struct, frozen=True, eq=False):
         return point
 
     def velocity(self, motion: Ints, t: Array) -> Array:
-        """Return the derivatives (n, 3) of the positions by t at places (motion, t) [m]."""
+        """Return the derivatives (n, 3) of the positions by t [m], at t (n,) in [0, 1] along motions (n,)."""
         arc = np.searchsorted(self.motion, motion)
         sweep, growth = self.sweep[arc], self.growth[arc]
         sine, cosine = sine_and_cosine(sweep * t)
@@ -119,7 +120,7 @@ class Toolpath(Columns, frozen=True, eq=False):
     """N samples of the nominal path.
 
     :param motion: (N,) row of `Motions`.
-    :param t: (N,) place on the motion, in (0, 1].
+    :param t: (N,) place on the motion: near 0 at its start, 1 at its end.
     :param pose: N tool frames in the motion's `$BASE` [m].
     :param distance: (N,) travelled from the start of the motion [m].
     """
@@ -179,7 +180,9 @@ def segments(program: Program, start_flange_in_root: Array) -> Segments:
 
 
 def _turns(program: Program, start: Starts, shortest_turn: Array) -> Array:
-    """Return how far the tool turns on each motion (M,) [rad], an upper bound: see `Segments.turn`.
+    """Return how far the tool turns on each motion (M,) [rad], an upper bound.
+
+    It is the angle between start and end, or more where the tool turns by rotary axes or with an arc.
 
     :param start: tool frames where the motions start.
     :param shortest_turn: (M,) angle between the orientations at start and end [rad].
@@ -191,9 +194,10 @@ def _turns(program: Program, start: Starts, shortest_turn: Array) -> Array:
     if program.turns_with_path is not None:
         turn = turn.copy()
         rows = np.flatnonzero(program.turns_with_path)
-        orientation_from_path = _turn_about_arc_axis(program, rows, -m.sweep[rows], m.target[rows, :3, :3])
+        # the end turned back along the arc: without a turn relative to the path, it is the orientation at the start
+        end_turned_back = _turn_about_arc_axis(program, rows, -m.sweep[rows], m.target[rows, :3, :3])
         # the turn of the path and that relative to it: their sum is an upper bound
-        turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], orientation_from_path)
+        turn[rows] = m.sweep[rows] + angle_between(start.at(rows)[:, :3, :3], end_turned_back)
     return turn
 
 
@@ -215,7 +219,7 @@ def _arcs(program: Program, start: Starts) -> Arcs:
 
 
 def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
-    """Return the nominal path at n places: motion (n,), t (n,) in [0, 1].
+    """Return the nominal path at n places: motion (n,), and t (n,) along it, 0 at its start, 1 at its end.
 
     LIN: position linear, orientation by one rotation, or as rotary axes or the wrist turn (`Program.turning`). CIRC:
     rotation about the arc's axis with a linear rise; the orientation is interpolated as for LIN, in axes that turn with
@@ -230,7 +234,9 @@ def at(program: Program, path: Segments, motion: Ints, t: Array) -> Toolpath:
 
 
 def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Poses) -> Array:
-    """Return the orientations (n, 3, 3) of the tool at places (motion, t), `$BASE`; see `at`.
+    """Return the orientations (n, 3, 3) of the tool in `$BASE`, at t (n,) in [0, 1] along motions (n,).
+
+    They are interpolated by one rotation, or turn with rotary axes, with the wrist or with the arc, see `at`.
 
     :param end: n tool frames at the ends of the motions. Their rotations are changed in place, unless these are fixed.
     """
@@ -265,9 +271,11 @@ def _rotations(program: Program, path: Segments, motion: Ints, t: Array, end: Po
 
 
 def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: Array) -> Ints:
-    """Return the rows (m,) of places (motion, t), each (n,), that are on PTPs before their ends.
+    """Return the indices (m,) of those of n places that are on PTPs before their ends.
 
     Empty if the robot, and with it the path of PTPs, is not known.
+
+    :param motion: (n,) motion of each place; `t`: (n,) place along it, 0 at its start, 1 at its end.
     """
     if path.joint_moves is None:
         return np.zeros(0, dtype=np.int64)
@@ -275,16 +283,18 @@ def _axis_interpolated_rows(program: Program, path: Segments, motion: Ints, t: A
 
 
 def _arc_orientations(program: Program, path: Segments, rows: Ints, t: Array) -> Array:
-    """Return the tool orientations (n, 3, 3) in `$BASE` at places (rows, t) of arcs whose orientation follows the path.
+    """Return the tool orientations (n, 3, 3) in `$BASE` along arcs whose orientation follows the path.
 
     The orientation at the end is turned back by the sweep about the axis of the arc; between it and that at the start,
     orientations relative to the path are interpolated; they are then turned forward with the path.
+
+    :param rows: (n,) the arcs, rows of `Motions`; `t`: (n,) place on each arc, 0 at its start, 1 at its end.
     """
     m = program.motions
     end = m.target[rows]
     end[:, :3, :3] = _turn_about_arc_axis(program, rows, -m.sweep[rows], end[:, :3, :3])
-    orientation_from_path = interpolate(path.start.at(rows), end, t)[:, :3, :3]
-    return _turn_about_arc_axis(program, rows, t * m.sweep[rows], orientation_from_path)
+    relative_orientation = interpolate(path.start.at(rows), end, t)[:, :3, :3]
+    return _turn_about_arc_axis(program, rows, t * m.sweep[rows], relative_orientation)
 
 
 def _turn_about_arc_axis(program: Program, rows: Ints, angle: Array, orientation: Array) -> Array:
@@ -293,14 +303,14 @@ def _turn_about_arc_axis(program: Program, rows: Ints, angle: Array, orientation
 
 
 def positions(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
-    """Return the nominal positions (n, 3) of the TCP in `$BASE` [m] at places (motion, t), as `at`."""
+    """Return the nominal positions (n, 3) of the TCP in `$BASE` [m] at t (n,) in [0, 1] along motions (n,), as `at`."""
     position = program.motions.target.position[motion]
     _move_to_places(program, path, motion, t, position)
     return position
 
 
 def _move_to_places(program: Program, path: Segments, motion: Ints, t: Array, position: Array) -> None:
-    """Move positions (n, 3) [m] from the ends of motions to places (motion, t), in place.
+    """Move positions (n, 3) [m] from the ends of motions (n,) to t (n,) in [0, 1] along them, in place.
 
     Before the end of a PTP without a known path, positions stay at its end.
     """
@@ -318,7 +328,10 @@ def _move_to_places(program: Program, path: Segments, motion: Ints, t: Array, po
 
 
 def tangent(program: Program, path: Segments, motion: Ints, t: Array) -> Array:
-    """Return the unit direction of travel (n, 3), `$BASE`, at places (motion, t); zero without travel, and for PTP."""
+    """Return the unit direction of travel (n, 3) in `$BASE`, at t (n,) in [0, 1] along motions (n,).
+
+    It is zero without travel, and for PTP.
+    """
     m = program.motions
     direction = np.zeros((len(motion), 3))
     kind = m.kind[motion]
@@ -412,8 +425,8 @@ def circle_through(a: Array, b: Array, c: Array) -> ArcsThroughPoints:
 
 
 Place = Array | float | None
-"""Places t on motions in (0, 1], (n,) or one for all, for which the position of the linear axis is used; None: it is at
-0."""
+"""Places t on motions, 0 at the start, 1 at the end: (n,), or one for all motions. The linear axis is where it is then;
+None: it is at 0, whatever the motion."""
 
 
 def tool_of(program: Program, motion: Ints) -> Array:
@@ -432,32 +445,52 @@ def _frames_of_rows(frames: Array, row: Ints) -> Array:
 
 
 def pose_in_root(program: Program, motion: Ints, pose_in_base: Array, t: Place = 1.0) -> Array:
-    """Return poses in the root (n, 4, 4) [m] of poses (n, 4, 4) in `$BASE` of motions (n,), at places t on them."""
-    return _move_by_track(program, motion, t, product(base_of(program, motion), pose_in_base), -1.0)
+    """Return poses (n, 4, 4) [m] in the robot root, from poses in `$BASE` of motions (n,).
+
+    :param t: place on the motions at which the linear axis has the robot, 0 at their starts, 1 at their ends; None: the
+        axis is at 0.
+    """
+    pose = product(base_of(program, motion), pose_in_base)
+    offset = _track_offset(program, motion, t)
+    return pose if offset is None else _translated(pose, -offset)  # `$BASE` stays, the root moves away from it
 
 
 def pose_in_base(program: Program, motion: Ints, pose_in_root: Array, t: Place = 1.0) -> Array:
-    """Return poses in `$BASE` of motions (n,) (n, 4, 4) [m] of poses (n, 4, 4) in the root, at places t on them."""
-    return product(inverse(base_of(program, motion)), _move_by_track(program, motion, t, pose_in_root, 1.0))
+    """Return poses (n, 4, 4) [m] in `$BASE` of motions (n,), from poses in the robot root.
+
+    :param t: place on the motions at which the linear axis has the robot, see `pose_in_root`.
+    """
+    offset = _track_offset(program, motion, t)
+    pose_at_zero = np.asarray(pose_in_root) if offset is None else _translated(pose_in_root, offset)
+    return product(inverse(base_of(program, motion)), pose_at_zero)
 
 
 def points_in_base(program: Program, motion: Ints, point_in_root: Array, t: Place = 1.0) -> Array:
-    """Return points in `$BASE` of motions (n,) (n, 3) [m] of points (n, 3) in the root, at places t on them."""
-    base = base_of(program, motion)
-    if program.carriage is not None and t is not None:
-        point_in_root = point_in_root + program.carriage.offset(motion, t)
-    offset, rotation = point_in_root - base[..., :3, 3], base[..., :3, :3]
-    return offset @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", offset, rotation))
+    """Return points (n, 3) [m] in `$BASE` of motions (n,), from points in the robot root.
 
-
-def _move_by_track(program: Program, motion: Ints, t: Place, pose: Array, sign: float) -> Array:
-    """Return poses (n, 4, 4) [m] moved by the travel of the linear axis at places (motion, t).
-
-    :param sign: −1: from the axis at 0 to the robot where it is; 1: the inverse.
+    :param t: place on the motions at which the linear axis has the robot, see `pose_in_root`.
     """
-    if program.carriage is not None and t is not None:
-        pose = pose.copy()
-        pose[..., :3, 3] += sign * program.carriage.offset(motion, t)
+    base = base_of(program, motion)
+    track_offset = _track_offset(program, motion, t)
+    if track_offset is not None:
+        point_in_root = point_in_root + track_offset
+    vector, rotation = point_in_root - base[..., :3, 3], base[..., :3, :3]  # from the origin of `$BASE`
+    return vector @ rotation if rotation.ndim == 2 else np.asarray(np.einsum("ni,nij->nj", vector, rotation))
+
+
+def _track_offset(program: Program, motion: Ints, t: Place) -> Array | None:
+    """Return how far (n, 3) [m] the linear axis has moved the robot root from where it is at axis position 0.
+
+    :param t: place on the motions (n,), see `pose_in_root`.
+    :returns: in axes of the root; None: the robot has no linear axis, or it is at 0.
+    """
+    return None if program.carriage is None or t is None else program.carriage.offset(motion, t)
+
+
+def _translated(pose: Array, offset: Array) -> Array:
+    """Return copies of poses (n, 4, 4) [m] translated by offsets (n, 3) [m]."""
+    pose = pose.copy()
+    pose[..., :3, 3] += offset
     return np.asarray(pose)
 
 
@@ -480,17 +513,21 @@ def columns_in_root(program: Program, motion: Ints, columns_in_base: Array) -> A
 
 
 def flange_from_tcp(program: Program, motion: Ints, pose_tcp_in_base: Array, t: Place = 1.0) -> Array:
-    """Return flange poses in the root (N, 4, 4) [m] of tool frames (N, 4, 4) in `$BASE` of motions (N,) at places t."""
-    from_tool = _frames_of_rows(inverse(program.tools), program.motions.tool[motion])
-    pose = product(base_of(program, motion), pose_tcp_in_base, from_tool)
-    return _move_by_track(program, motion, t, pose, -1.0)
+    """Return flange poses (N, 4, 4) [m] in the robot root, from tool frames (N, 4, 4) in `$BASE` of motions (N,).
+
+    :param t: place on the motions at which the linear axis has the robot, see `pose_in_root`.
+    """
+    flange_in_tool = _frames_of_rows(inverse(program.tools), program.motions.tool[motion])
+    pose = product(base_of(program, motion), pose_tcp_in_base, flange_in_tool)
+    offset = _track_offset(program, motion, t)
+    return pose if offset is None else _translated(pose, -offset)
 
 
 def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point: Array, t: Place = 1.0) -> Array:
     """Return positions in the root (N, 3) of a point (3,) of the flange frame [m].
 
     :param motion: (N,) rows of `Motions`, `pose_tcp_in_base` (N, 4, 4) the tool frames in their `$BASE` [m].
-    :param t: places on the motions.
+    :param t: place on the motions at which the linear axis has the robot, see `pose_in_root`.
     """
     m = program.motions
     point_in_tool = inverse(program.tools) @ np.append(point, 1.0)  # a row for each tool; homogeneous
@@ -500,6 +537,5 @@ def flange_points(program: Program, motion: Ints, pose_tcp_in_base: Array, point
     else:
         column_in_base = pose_tcp_in_base @ point_in_tool[m.tool[motion]][..., None]
         position = (program.bases[m.base[motion], :3] @ column_in_base)[..., 0]
-    if program.carriage is not None and t is not None:
-        position = position - program.carriage.offset(motion, t)
-    return np.asarray(position)
+    offset = _track_offset(program, motion, t)
+    return np.asarray(position if offset is None else position - offset)

@@ -1,8 +1,9 @@
 """Where on the path to compute: as few places as the tolerance allows.
 
-Deflection changes along a run over lengths of the order of the arm, so that samples every 20 mm and 3° catch its
-curvature to a fraction of 0.01 mm. An arc is written in pieces, each a circle through three corrected points; how many
-it takes depends on how the displacement by the force turns and grows along it.
+A place is a motion and t along it, 0 at its start, 1 at its end. Deflection changes along the path over lengths of the
+order of the arm, so that samples every 20 mm and 3° catch its curvature to a fraction of 0.01 mm. An arc is written in
+pieces, each a circle through three corrected points; how many it takes depends on how the displacement by the force
+turns and grows along it.
 """
 
 from __future__ import annotations
@@ -61,8 +62,8 @@ def even_places(
 ) -> tuple[NDArray[_Row], Array]:
     """Return the places that divide motions, or pieces of them, into equal parts: rows (N,) and shares (N,) in [0, 1].
 
-    All samples of a path come from here. How many parts there are is up to the purpose: `even_parts` by length and
-    rotation, others by sagitta, ridges or cells.
+    All samples of a path come from here. Shares are those of the motion or piece: 0 at its start, 1 at its end. How
+    many parts there are is up to the purpose: `even_parts` by length and rotation, others by sagitta, ridges or cells.
 
     >>> even_places(np.array([4, 7]), np.array([2, 1]))
     (array([4, 4, 7]), array([0.5, 1. , 1. ]))
@@ -111,9 +112,10 @@ class DisplacementEstimate(Struct, frozen=True, eq=False):
 
 
 class Pieces(Columns, frozen=True, eq=False):
-    """The division of arcs into equal pieces, by S stretches with a number of pieces each.
+    """The division of arcs into pieces, each written as one circle: S stretches, each with a number of equal pieces.
 
-    Stretches are bounded by the places where the force bends, and where the number of pieces per length changes.
+    Stretches are bounded by the places where the rate of the force changes (bends), and where the number of pieces per
+    length changes.
 
     :param motion: (S,) row of `Motions`, never decreasing.
     :param begin: (S,) place t where the stretch begins, in order along a motion.
@@ -147,7 +149,7 @@ class Pieces(Columns, frozen=True, eq=False):
         """Return the stretches in order along the path."""
         return self.take(np.lexsort((self.begin, self.motion)))
 
-    def cut(self, parts: Ints) -> Pieces:
+    def divided(self, parts: Ints) -> Pieces:
         """Return the stretches divided into equal parts, which are stretches too; each gets its share of the pieces.
 
         Shares are rounded up. A stretch that is divided into as many parts as it has pieces becomes one stretch for
@@ -173,13 +175,13 @@ class Pieces(Columns, frozen=True, eq=False):
         is_exceeded = np.zeros(len(self.motion), dtype=bool)
         is_exceeded[self._stretch_at(motion, t)] = True
         # each piece of such a stretch becomes a stretch of its own, whose number of pieces can then grow alone
-        stretches = self.cut(np.where(is_exceeded, self.number, 1))
+        stretches = self.divided(np.where(is_exceeded, self.number, 1))
         number = stretches.number.copy()
         np.maximum.at(number, stretches._stretch_at(motion, t), piece_count)  # several places may be on one piece
         return stretches.with_enough_pieces(number)
 
     def _stretch_at(self, motion: Ints, t: Array) -> Ints:
-        """Return the stretches (n,) on which places (motion, t) are.
+        """Return the stretches (n,) on which t (n,), in (0, 1], of motions (n,) are.
 
         Since t is at most 1, motion + t grows along all stretches: one search finds the last that begins before it.
         """
@@ -198,7 +200,7 @@ def pieces(path: Segments, tolerance: float, estimate: DisplacementEstimate, *, 
     arcs = path.arcs
     stretches = _stretches(arcs.motion, estimate, tolerance)
     arc, motion = stretches.arc, arcs.motion[stretches.arc]
-    share = stretches.end - stretches.begin
+    share = stretches.end - stretches.begin  # of the arc
     angle, radius = arcs.sweep[arc] * share, norm(arcs.radial)[arc]
     step = _STEP * np.sqrt(tolerance / _REFERENCE_TOLERANCE)
     samples = share * np.maximum(path.travel[motion] / step, path.turn[motion] / _SAMPLE_ROTATION)
@@ -226,6 +228,7 @@ def _stretch_errors(path: Segments, estimate: DisplacementEstimate, stretches: _
     """
     arcs, arc = path.arcs, stretches.arc
     motion, share = arcs.motion[arc], stretches.end - stretches.begin
+    # size: largest displacement by the force on the motion [m]
     angle, radius, size = arcs.sweep[arc] * share, norm(arcs.radial)[arc], estimate.size[motion]
     # displacements that turn with the arc, and those that grow along it [m]
     turning_part = estimate.turning[motion] + size * radius / _DEFLECTION_LENGTH
@@ -249,8 +252,11 @@ class _Stretches(NamedTuple):
 
 
 def _stretches(arcs: Ints, estimate: DisplacementEstimate, tolerance: float) -> _Stretches:
-    """Return the stretches of arcs (A,), rows of `Motions`, between the places where the force bends.
+    """Return the stretches of arcs (A,), rows of `Motions`, between the bends: places where the force's rate changes.
 
+    Arcs along which the displacement changes by much less than the tolerance are one stretch each.
+
+    :param estimate: changes of the displacement at places along the motions.
     :param tolerance: largest path error [m].
     """
     rows = np.flatnonzero(np.isin(estimate.motion, arcs))
@@ -284,9 +290,10 @@ def places(
     """Return the places at which the path is computed: ends of motions, middles and ends of pieces, and between.
 
     :param tolerance: largest path error [m].
-    :param arcs: the pieces of the arcs.
+    :param estimate: says where the rate of the force changes.
+    :param arcs: the division of the arcs into pieces, each of which is written as one circle.
     :param extra_places: further places of straight motions: motion (n,) and t (n,); None: there are none.
-    :returns: motion (N,) and t (N,), in order.
+    :returns: motion (N,) and t (N,), 0 at the start of a motion and 1 at its end, in order.
     """
     bends = np.flatnonzero(estimate.is_bend & (program.motions.kind[estimate.motion] == LIN))
     further_places = [(estimate.motion[bends], estimate.t[bends]), _arc_places(arcs)]
@@ -298,7 +305,7 @@ def places(
 def _straight_places(program: Program, path: Segments, tolerance: float) -> tuple[Ints, Array]:
     """Return the places on motions other than arcs, without regard to forces: motion (n,) and t (n,), in order.
 
-    PTP motions and pieces of splines are computed at their ends only.
+    PTP motions and pieces of splines are computed at their ends only: nothing is inserted into them.
 
     :param tolerance: largest path error [m].
     """
@@ -322,7 +329,7 @@ def _arc_places(arcs: Pieces) -> tuple[Ints, Array]:
 def _merge_places(
     ordered_places: tuple[Ints, Array], further_places: Sequence[tuple[Ints, Array]]
 ) -> tuple[Ints, Array]:
-    """Return all places in order, each once: motion (N,) and t (N,).
+    """Return all places in order, each once: motion (N,) and t (N,) along it, in (0, 1].
 
     :param ordered_places: motion and t of places that are in order already, and of which none is repeated.
     :param further_places: motion and t of others, in any order.

@@ -240,8 +240,8 @@ def test_pieces_with_one_force_keep_the_last_knot_alone(seed):
         rows = np.flatnonzero(motion == k)
         columns = np.hstack([wrench[rows], sigma[rows], factor[rows, None]])
         expected += rows.tolist() if np.abs(columns - columns[-1]).max() > 1e-6 else [rows[-1]]
-    np.testing.assert_array_equal(table._needed_knots(knots).t, t[expected])
-    assert table._needed_knots(knots).motion.tolist() == motion[expected].tolist()
+    np.testing.assert_array_equal(table._without_repeated_forces(knots).t, t[expected])
+    assert table._without_repeated_forces(knots).motion.tolist() == motion[expected].tolist()
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 7])

@@ -266,7 +266,7 @@ def test_pieces_cut_joined_settled_and_made_finer(seed):
     np.testing.assert_array_equal(settled.number, np.maximum(wanted, arcs.min_number))
     assert not settled.uncertain.any()
     parts = rng.integers(1, 5, len(arcs.motion))
-    cut, row = arcs.cut(parts), 0
+    cut, row = arcs.divided(parts), 0
     for k, n in enumerate(parts.tolist()):
         bounds = np.linspace(arcs.begin[k], arcs.end[k], n + 1)
         for i in range(n):
