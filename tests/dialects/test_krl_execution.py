@@ -927,7 +927,7 @@ def test_plain_lines_of_a_trace_are_those_that_a_scan_of_it_finds(lines, subs, e
         text = Source.of(Document("trace.src", "".join(lines)), 0)
         found, scanned = plain_rows_of_trace(trace, known, bulk=bulk), plain_lines_of(text)
         motions = merged_motions([*scanned.motions], np.arange(sum(map(len, scanned.motions))))
-        later = text.starts[motions.line - 1] - trace.starts(motions.line)
+        later = text.starts[motions.trace_row - 1] - trace.starts(motions.trace_row)
         for name, ours, theirs in zip(
             motions.__struct_fields__, found.motions[0].columns(), motions.columns(), strict=True
         ):

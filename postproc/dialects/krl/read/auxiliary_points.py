@@ -97,22 +97,22 @@ class AuxiliaryOrientations(Struct, frozen=True, eq=False):
 
 def auxiliary_orientations(
     trace: Trace,
-    rows: MotionColumns,
+    columns: MotionColumns,
     moves: Mapping[int, MotionStatement],
     circle_rows: Ints,
     states: MotionStates,
 ) -> AuxiliaryOrientations:
     """Return the orientations of the auxiliary points of circles.
 
-    :param rows: all motions of the program.
+    :param columns: all motions of the program.
     :param moves: row → statement, for motions that are not read in bulk.
     :param circle_rows: (n,) rows of the circles in `rows`.
     :param states: (n,) settings in force at the circles.
     """
-    may_act = is_spline(trace, rows, circle_rows) & ~states.column(_ignores_auxiliary)
+    may_act = is_spline(trace, columns, circle_rows) & ~states.column(_ignores_auxiliary)
     angles = np.full((len(circle_rows), 3), np.nan)
     for index in np.flatnonzero(may_act).tolist():
-        angles[index] = _auxiliary_angles(trace, rows, circle_rows.item(index), moves)
+        angles[index] = _auxiliary_angles(trace, columns, circle_rows.item(index), moves)
     return AuxiliaryOrientations(angles, may_act & states.column(_may_lead_through))
 
 
@@ -214,7 +214,9 @@ def _is_longer_way_closer(start: Array, shorter_rotation: Array, via: Array) -> 
     )
 
 
-def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mapping[int, MotionStatement]) -> list[float]:
+def _auxiliary_angles(
+    trace: Trace, columns: MotionColumns, row: int, moves: Mapping[int, MotionStatement]
+) -> list[float]:
     """Return A, B, C [deg] of the auxiliary point of a circle, NaN where missing.
 
     :param row: row of the circle in `rows`.
@@ -223,7 +225,7 @@ def _auxiliary_angles(trace: Trace, rows: MotionColumns, row: int, moves: Mappin
     if row in moves:
         via = moves[row].via
         return [np.nan] * 3 if via is None else list(via.position.values[3:6])
-    items = parse_aggregate(trace.source(rows.line.item(row)), *rows.via_target[row].tolist()).items
+    items = parse_aggregate(trace.source(columns.trace_row.item(row)), *columns.via_target[row].tolist()).items
     return [item.value if isinstance(item := items.get(name), Number) else np.nan for name in "ABC"]
 
 

@@ -17,7 +17,7 @@ _AXIS_TOLERANCE = 1e-4
 
 def external_axes(
     trace: Trace,
-    rows: MotionColumns,
+    columns: MotionColumns,
     relative_rows: Ints,
     uses_root: Bools,
     direction: Array | None,
@@ -25,14 +25,14 @@ def external_axes(
 ) -> tuple[list[Issue], Carriage | None]:
     """Return the issues about external axes, and the linear axis that carries the robot, None if there is none.
 
-    :param rows: the R motions.
+    :param columns: the R motions.
     :param relative_rows: (n,) rows of motions with relative targets, whose values are steps.
     :param uses_root: (R,) True for motions whose path depends on the robot root: all but PTP to axis angles.
     :param direction: (3,) unit vector of E1 in the robot root, if it carries the robot; else None.
     :param predecessors: (R,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an axis moves that does not carry the robot, or the position of E1, which does, is not known.
     """
-    external = rows.external
+    external = columns.external
     if np.isnan(external).all():
         return [], None
     # steps of relative targets, and positions at the other targets
@@ -40,7 +40,7 @@ def external_axes(
     steps[relative_rows] = np.nan_to_num(external[relative_rows])
     external = external.copy()
     external[relative_rows] = np.nan
-    issues = _fixed_axis_warnings(trace, external, steps, rows.line, carries_robot=direction is not None)
+    issues = _fixed_axis_warnings(trace, external, steps, columns.trace_row, carries_robot=direction is not None)
     if direction is None or (np.isnan(external[:, 0]).all() and not steps[:, 0].any()):
         return issues, None
     begin, end = _axis_positions(external[:, 0], steps[:, 0], predecessors)
@@ -48,7 +48,7 @@ def external_axes(
     if len(unknown_rows):
         raise trace.error(
             "the position of E1, which carries the robot, is not known here",
-            int(rows.line[unknown_rows[0]]),
+            int(columns.trace_row[unknown_rows[0]]),
             "Give E1 in this target, or in a PTP before it.",
         )
     assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
@@ -56,8 +56,8 @@ def external_axes(
         row = assumed_starts[0]
         # the motion is its own predecessor if its start is not known: a warning says so already
         has_open_start = predecessors is not None and predecessors[row] == row
-        if rows.kind[row] != PTP and not has_open_start:
-            issues.append(_assumed_start_warning(float(end[row]), trace.reported_line(int(rows.line[row]))))
+        if columns.kind[row] != PTP and not has_open_start:
+            issues.append(_assumed_start_warning(float(end[row]), trace.reported_line(int(columns.trace_row[row]))))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 

@@ -325,7 +325,7 @@ def module_of(source: Source, data: Source | None = None) -> Module:
     :param data: the `.dat` of the file; None without one.
     :raises ProgramError: a DEF has no END, or a motion is outside of DEF … END.
     """
-    motion_lines = np.concatenate([rows.line for rows in plain_lines.scan(source)])
+    motion_lines = np.concatenate([columns.trace_row for columns in plain_lines.scan(source)])
     is_other_line = np.ones(len(source.starts), dtype=np.bool_)
     is_other_line[motion_lines - 1] = False
     by_name, faults = routines(source, (np.flatnonzero(is_other_line) + 1).tolist(), motion_lines)

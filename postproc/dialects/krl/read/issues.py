@@ -27,19 +27,21 @@ _MOST_FILES = 3
 """Most files named for one variable."""
 
 
-def issues_of(main: MainRoutine, motion_states: MotionStates, rows: MotionColumns, layout: Layout) -> Iterator[Issue]:
+def issues_of(
+    main: MainRoutine, motion_states: MotionStates, columns: MotionColumns, layout: Layout
+) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed.
 
     :param main: has followed the program.
     :param motion_states: settings in force at the motions of the program.
-    :param rows: the motions.
+    :param columns: the motions.
     :raises ProgramError: a called program is known to move the robot by a sensor or along the points of a file.
     """
     yield from _absent_program_warnings(main)
     yield from _uncalled_routine_warnings(main)
     yield from _unreachable_motion_warnings(main)
     yield from _changed_variable_warnings(main)
-    yield from _initial_frame_warnings(main, motion_states, rows, layout)
+    yield from _initial_frame_warnings(main, motion_states, columns, layout)
 
 
 def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
@@ -124,13 +126,13 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _initial_frame_warnings(
-    main: MainRoutine, motion_states: MotionStates, rows: MotionColumns, layout: Layout
+    main: MainRoutine, motion_states: MotionStates, columns: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them.
 
-    :param motion_states: settings in force at the motions `rows`.
+    :param motion_states: settings in force at the motions `columns`.
     """
-    has_axis_target = np.zeros(len(rows), dtype=np.bool_)  # needs no frames
+    has_axis_target = np.zeros(len(columns), dtype=np.bool_)  # needs no frames
     has_axis_target[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
         is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in motion_states.states])
@@ -146,7 +148,7 @@ def _initial_frame_warnings(
             "warning",
             "initial-frames",
             message,
-            main.run.trace.reported_line(rows.line.item(affected_rows[0])) if len(affected_rows) else None,
+            main.run.trace.reported_line(columns.trace_row.item(affected_rows[0])) if len(affected_rows) else None,
             subject=name,
             count=len(affected_rows),
         )

@@ -105,7 +105,7 @@ class _Successors:
 
         :param number: index of the step in `steps`.
         """
-        lines, step = self._sequence.rows.line, self.steps[number]
+        lines, step = self._sequence.columns.trace_row, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
         row = int(np.searchsorted(lines, step.row, side="right"))  # the first motion after the step
         if row < len(lines) and (next_step is None or lines[row] <= next_step.row):  # a motion before the next step
@@ -150,7 +150,7 @@ class _Successors:
 
         :returns: True if the program does not end in a LOOP: nothing follows its end.
         """
-        loop, lines = self._execution.endless_loop, self._sequence.rows.line
+        loop, lines = self._execution.endless_loop, self._sequence.columns.trace_row
         if loop is None:
             return True
         row = int(np.searchsorted(lines, loop.first))  # the first motion of the loop
@@ -172,8 +172,8 @@ def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
     :param rows: the motions, which follow each other.
     :returns: −1 if there is no such PTP.
     """
-    for row in (rows.start + np.flatnonzero(sequence.rows.kind[rows] == PTP)).tolist():
-        if not is_ptp_to_joints(sequence, row) and (sequence.rows.posture[row] < 0).any():
+    for row in (rows.start + np.flatnonzero(sequence.columns.kind[rows] == PTP)).tolist():
+        if not is_ptp_to_joints(sequence, row) and (sequence.columns.posture[row] < 0).any():
             return int(row)
     return -1
 
@@ -200,7 +200,7 @@ def predecessors_and_joins(
     steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
-    line = sequence.rows.line
+    line = sequence.columns.trace_row
     branch_flow = _branch_flow(steps, line, unchecked_joins)
     branch_predecessors = np.arange(len(line)) - 1 if predecessors is None else predecessors.copy()
     for row, motions in branch_flow.previous_motions.items():
@@ -233,7 +233,7 @@ def _faults_in_branches(
     :param kept_lines: lines of uncorrected motions.
     :param unchecked_joins: joins at which branches may end in different poses: a PTP is not ambiguous there.
     """
-    line, faults = sequence.rows.line, list[_Fault]()
+    line, faults = sequence.columns.trace_row, list[_Fault]()
     for join, ends in joins:
         rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
         if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
@@ -495,7 +495,7 @@ def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
 
 def _start_dependence(sequence: OrderedMotions, row: int) -> str:
     """Return why a motion, for which `depends_on_start` holds, depends on its start, as text for a message."""
-    kind, move = int(sequence.rows.kind[row]), sequence.moves.get(row)
+    kind, move = int(sequence.columns.kind[row]), sequence.moves.get(row)
     if kind != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:

@@ -24,7 +24,8 @@ _BATCH_SIZE = 1000
 class MotionColumns(Columns, frozen=True, eq=False):
     """R motions.
 
-    :param line: (R,) line of the file, or row of the execution trace, from 1; offsets are those in its file.
+    :param trace_row: (R,) row of the execution trace, from 1; before a trace is recorded, line of the file. Offsets are
+        those in the file.
     :param kind: (R,) `LIN`, `CIRC`, `PTP` or `SPL`.
     :param numbers: (R, 6) X, Y, Z [mm], A, B, C [deg] as the text gives them; NaN where missing.
     :param posture: (R, 2) S and T; −1 where missing.
@@ -40,7 +41,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
     :param via_target: (R, 2) span of the auxiliary point; −1 where it is not in the line.
     """
 
-    line: Ints
+    trace_row: Ints
     kind: Ints
     numbers: Array
     posture: Ints
@@ -56,7 +57,7 @@ class MotionColumns(Columns, frozen=True, eq=False):
 
     def __len__(self) -> int:
         """Return the number of motions."""
-        return len(self.line)
+        return len(self.trace_row)
 
     def columns(self) -> list[Any]:
         """Return all columns."""
@@ -95,7 +96,7 @@ class MotionCollector:
         self._converted_parts.append(_columns_of(self._unconverted))
         self._unconverted = []
 
-    def rows(self) -> MotionColumns:
+    def columns(self) -> MotionColumns:
         """Return all statements as columns; rows of plain lines equal what `plain_lines` reads.
 
         Numbers of axis and relative targets are NaN, except E1…E6.
@@ -126,7 +127,7 @@ def _columns_of(moves: Sequence[MotionStatement]) -> MotionColumns:
     postures = [(move.end.position.status, move.end.position.turn) for move in moves]  # −1 where missing
     via_points = _via_points_of(moves)
     return MotionColumns(
-        line=compact(np.array([move.trace_row for move in moves], dtype=np.int64), np.int32),
+        trace_row=compact(np.array([move.trace_row for move in moves], dtype=np.int64), np.int32),
         kind=compact(np.array([move.kind for move in moves], dtype=np.int64), np.int8),
         numbers=numbers,
         posture=compact_postures(np.array(postures).reshape(-1, 2)),
@@ -207,8 +208,8 @@ def merged_motions(parts: list[MotionColumns], place: Ints) -> MotionColumns:
     :param parts: the motions in parts; the list is emptied, so that each column can be released when it is copied.
     :param place: (R,) places, from 0, of the motions of the first part, then of the motions of the next part, …
     """
-    destinations = _destinations([len(rows) for rows in parts], place)
-    remaining_columns = [rows.columns()[::-1] for rows in parts]  # the first column last, to be popped
+    destinations = _destinations([len(columns) for columns in parts], place)
+    remaining_columns = [columns.columns()[::-1] for columns in parts]  # the first column last, to be popped
     parts.clear()
     merged_columns = []
     while remaining_columns[0]:

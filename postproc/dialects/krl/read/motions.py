@@ -63,14 +63,14 @@ _SPEED_WORDS = frozenset({"C_VEL", "C_ORI"})
 class OrderedMotions(NamedTuple):
     """All R motions in order: the contents of their lines, and the settings in force.
 
-    :ivar rows: the motions.
+    :ivar columns: the motions.
     :ivar motion_states: settings in force at each motion; for the fields `plain_settings.NUMBERS` see `numbers`.
     :ivar numbers: (R, 4) speed, distance of approximation, two turn speeds (`plain_settings.NUMBERS`), as runs. Plain
         settings change these, and create no states.
     :ivar moves: row → statement, for motions that are not plain.
     """
 
-    rows: MotionColumns
+    columns: MotionColumns
     motion_states: MotionStates
     numbers: Runs
     moves: dict[int, MotionStatement]
@@ -95,9 +95,11 @@ def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> Orde
     :param main: has followed all lines that are not plain.
     :param plain_parts: plain motions, in parts; the list is emptied, so that their memory is released.
     """
-    plain_parts += [rounds.rows for rounds in main.rounds]
-    statement_rows = main.motions.rows()
-    places, motion_states, numbers = _merged_settings(main, [rows.line for rows in plain_parts], statement_rows.line)
+    plain_parts += [rounds.columns for rounds in main.rounds]
+    statement_rows = main.motions.columns()
+    places, motion_states, numbers = _merged_settings(
+        main, [columns.trace_row for columns in plain_parts], statement_rows.trace_row
+    )
     first = sum(map(len, plain_parts))  # index in `places` of the first statement
     moves = {places.item(first + index): move for index, move in main.motions.special_moves}
     plain_parts.append(statement_rows)
@@ -181,21 +183,21 @@ def motions_and_layout(
     """
     trace, settings = main.execution.trace, main.run.settings
     sequence = _with_approximation(main, sequence)
-    rows, motion_states, _, moves = sequence
+    columns, motion_states, _, moves = sequence
     _check_settings(settings, sequence)
     targets, axis_issues = _text_targets(main, sequence, predecessors)
-    text_ends = rows.numbers[rows.kind == CIRC, :3]  # a copy: `end_poses` completes the numbers in place
+    text_ends = columns.numbers[columns.kind == CIRC, :3]  # a copy: `end_poses` completes the numbers in place
     ends = end_poses(targets, start_joints, kinematics, predecessors)
-    is_wrist_led = _wrist_led_rows(trace, rows, motion_states, ends, targets.carriage)
-    _check_automatic_wrist_mode(trace, rows, motion_states, ends, settings)
+    is_wrist_led = _wrist_led_rows(trace, columns, motion_states, ends, targets.carriage)
+    _check_automatic_wrist_mode(trace, columns, motion_states, ends, settings)
     path = _Path(targets, ends, _circle_columns(sequence, targets, ends, text_ends, settings))
     motions = _motions(trace, sequence, path)
     layout = _layout(main, sequence, motions, path, is_wrist_led)
-    has_assumed_speed = motion_states.column(lambda state: state.is_speed_assumed) & (rows.kind != PTP)
+    has_assumed_speed = motion_states.column(lambda state: state.is_speed_assumed) & (columns.kind != PTP)
     issues = [
         *axis_issues,
         *_assumption_issues(motions.line, targets.is_missing, has_assumed_speed, moves),
-        *_speed_blending_issues(trace, rows),
+        *_speed_blending_issues(trace, columns),
         *unknown_path_warning(motions),
         *_wrist_led_issues(motions, is_wrist_led),
     ]
@@ -209,10 +211,10 @@ def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedM
 
     :raises ProgramError: a motion is not allowed inside, or outside, of a spline block.
     """
-    rows, block = sequence.rows, sequence.motion_states.column(lambda state: state.spline_block)
-    check_words(main.execution.trace, rows, block)
-    is_approximated = approximated_motions(rows, block != "", main.splines.approximated_ends)
-    return sequence._replace(rows=replace(rows, approximated=is_approximated))
+    columns, block = sequence.columns, sequence.motion_states.column(lambda state: state.spline_block)
+    check_words(main.execution.trace, columns, block)
+    is_approximated = approximated_motions(columns, block != "", main.splines.approximated_ends)
+    return sequence._replace(columns=replace(columns, approximated=is_approximated))
 
 
 def _text_targets(
@@ -224,22 +226,22 @@ def _text_targets(
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
     trace, settings = main.execution.trace, main.run.settings
-    rows, motion_states, _, moves = sequence
+    columns, motion_states, _, moves = sequence
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
-    uses_root = np.ones(len(rows), dtype=np.bool_)  # the path depends on the robot root, except to axis targets
+    uses_root = np.ones(len(columns), dtype=np.bool_)  # the path depends on the robot root, except to axis targets
     uses_root[[row for row, move in moves.items() if move.end.position.is_axis]] = False
     issues, carriage = external_axes(
-        trace, rows, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
+        trace, columns, relative_rows, uses_root, direction=settings.cell.carriage, predecessors=predecessors
     )
-    control = _orientation_control(trace, rows, motion_states)
-    is_missing = np.isnan(rows.numbers)
+    control = _orientation_control(trace, columns, motion_states)
+    is_missing = np.isnan(columns.numbers)
     # axis and relative targets have no numbers yet: `end_poses` computes them
     is_missing[~uses_root] = False
     is_missing[relative_rows] = False
     targets = TextTargets(
         trace=trace,
-        line=rows.line,
-        numbers=rows.numbers,
+        line=columns.trace_row,
+        numbers=columns.numbers,
         frames=_frame_columns(settings, motion_states),
         statements=moves,
         control=control,
@@ -276,23 +278,23 @@ class _Path(NamedTuple):
 
 def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
     """Return the `Motions` of a program from its ordered motions and their path."""
-    (rows, _, numbers, _), frames, ends, circles = sequence, path.targets.frames, path.ends, path.circles
+    (columns, _, numbers, _), frames, ends, circles = sequence, path.targets.frames, path.ends, path.circles
     return Motions(
-        kind=rows.kind,
-        rapid=rows.kind == PTP,
-        line=trace.reported_lines[rows.line - 1],
+        kind=columns.kind,
+        rapid=columns.kind == PTP,
+        line=trace.reported_lines[columns.trace_row - 1],
         target=ends.pose,
         joints=ends.joints,
         centre=circles.centre,
         normal=circles.normal,
         sweep=circles.sweep,
-        feed=np.where(rows.kind == PTP, np.nan, numbers[:, 0]),  # column 0: speed, 1: distance of approximation
+        feed=np.where(columns.kind == PTP, np.nan, numbers[:, 0]),  # column 0: speed, 1: distance of approximation
         base=frames.base,
         tool=frames.tool,
-        blend=np.where(rows.approximated, numbers[:, 1], 0.0),
-        rounding=constant(np.inf, len(rows)),  # no limit but `blend`
-        status=rows.posture[:, 0],
-        turn=rows.posture[:, 1],
+        blend=np.where(columns.approximated, numbers[:, 1], 0.0),
+        rounding=constant(np.inf, len(columns)),  # no limit but `blend`
+        status=columns.posture[:, 0],
+        turn=columns.posture[:, 1],
     )
 
 
@@ -302,26 +304,26 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
     :param sequence: all motions; `motions` and `path` are what has been computed from them.
     :param is_wrist_led: (M,) True for motions on which the wrist axes turn the tool.
     """
-    rows, motion_states, _, moves = sequence
+    columns, motion_states, _, moves = sequence
     targets, ends, circles = path
     run = main.run
-    elements = tuple(_elements_of_program(rows, rounds) for rounds in main.rounds)
+    elements = tuple(_elements_of_program(columns, rounds) for rounds in main.rounds)
     return Layout(
         execution=main.execution,
-        trace_row=rows.line,
+        trace_row=columns.trace_row,
         notes=(),
         numbers=ends.numbers,
         is_missing=targets.is_missing,
-        target_start=_target_starts(rows.target[:, 0], elements),
-        relative_spans=rows.relative_spans,
-        keyword=rows.keyword,
-        target=rows.target,
-        tail=rows.tail,
-        via_spans=rows.via_spans,
-        via_target=rows.via_target,
+        target_start=_target_starts(columns.target[:, 0], elements),
+        relative_spans=columns.relative_spans,
+        keyword=columns.keyword,
+        target=columns.target,
+        tail=columns.tail,
+        via_spans=columns.via_spans,
+        via_target=columns.via_target,
         starts_from_joints=ends.starts_from_joints,
         # PTP has no orientation control: index 0
-        orientation=np.where(rows.kind == PTP, np.int8(0), motion_states.column(_orientation_index)),
+        orientation=np.where(columns.kind == PTP, np.int8(0), motion_states.column(_orientation_index)),
         ignores_orientation=ends.ignores_orientation,
         turns_with_path=targets.control.turns_with_path,
         is_wrist_led=is_wrist_led,
@@ -334,20 +336,22 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
         global_names=frozenset(run.settings.variables.global_names),
         followed_names=frozenset(run.followed_names),
         copies=frozenset(run.copies),
-        triggers=_triggers_of_motions(main, rows.line, motions, ends.start),
+        triggers=_triggers_of_motions(main, columns.trace_row, motions, ends.start),
         carriage=targets.carriage,
         resume_place="" if run.resume_place is None else str(run.resume_place),
     )
 
 
-def _elements_of_program(rows: MotionColumns, rounds: ElementMotions) -> Elements:
+def _elements_of_program(columns: MotionColumns, rounds: ElementMotions) -> Elements:
     """Return the array elements to which a loop moves, with the rows of these motions in the program.
 
-    :param rows: the motions of the program.
-    :param rounds: the motions of the loop; uncorrected ones, which are not in `rows`, are left out.
+    :param columns: the motions of the program.
+    :param rounds: the motions of the loop; uncorrected ones, which are not in `columns`, are left out.
     """
-    row = np.searchsorted(rows.line, rounds.rows.line)
-    is_present = rows.line[np.minimum(row, len(rows) - 1)] == rounds.rows.line  # else another motion is at that place
+    row = np.searchsorted(columns.trace_row, rounds.columns.trace_row)
+    is_present = (
+        columns.trace_row[np.minimum(row, len(columns) - 1)] == rounds.columns.trace_row
+    )  # else another motion is at that place
     return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
 
 
@@ -487,14 +491,14 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
 
     They are grouped by their states, not in the order of the program.
     """
-    rows, motion_states, _, moves = sequence
+    columns, motion_states, _, moves = sequence
     for index, state in enumerate(motion_states.states):
         if not state.uncertain_fields and state.base >= 0 and state.tool >= 0:
             continue
         for row in np.flatnonzero(motion_states.index == index).tolist():
             has_axis_target = row in moves and moves[row].end.position.is_axis  # plain motions have none
             fields = fields_used(
-                int(rows.kind[row]), has_axis_target=has_axis_target, is_approximated=bool(rows.approximated[row])
+                int(columns.kind[row]), has_axis_target=has_axis_target, is_approximated=bool(columns.approximated[row])
             )
             try:
                 settings.refuse_uncertain(state, fields)
@@ -502,7 +506,7 @@ def uncertain_motions(settings: Settings, sequence: OrderedMotions) -> Iterator[
                 yield row, cause
 
 
-def _orientation_control(trace: Trace, rows: MotionColumns, motion_states: MotionStates) -> OrientationControl:
+def _orientation_control(trace: Trace, columns: MotionColumns, motion_states: MotionStates) -> OrientationControl:
     """Return how the orientation of each motion is controlled: KUKA, KSS 8.x, `$ORI_TYPE` and `$CIRC_TYPE`.
 
     `$ORI_TYPE` #CONSTANT: the orientation of the start stays, and A, B, C of the target are disregarded. `$CIRC_TYPE`
@@ -511,43 +515,43 @@ def _orientation_control(trace: Trace, rows: MotionColumns, motion_states: Motio
 
     :raises ProgramError: a circle is under #PATH and an `$ORI_TYPE` other than `_ONE_ROTATION_MODES`.
     """
-    is_circle = rows.kind == CIRC
+    is_circle = columns.kind == CIRC
     is_unsupported = is_circle & motion_states.column(
         lambda state: state.circle == "#PATH" and state.orientation not in _ONE_ROTATION_MODES
     )
     if is_unsupported.any():
         first = int(np.argmax(is_unsupported))
         problem = f"a circle under $ORI_TYPE={motion_states.at(first).orientation} and $CIRC_TYPE=#PATH"
-        raise trace.error(problem, int(rows.line[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
-    is_constant = motion_states.column(lambda state: state.orientation == CONSTANT) & (rows.kind != PTP)
+        raise trace.error(problem, int(columns.trace_row[first]), "Use $CIRC_TYPE=#BASE, or $ORI_TYPE=#VAR.")
+    is_constant = motion_states.column(lambda state: state.orientation == CONSTANT) & (columns.kind != PTP)
     is_path_mode = motion_states.column(
         lambda state: state.circle == "#PATH" and state.orientation in _ONE_ROTATION_MODES
     )
-    return OrientationControl(keeps_orientation=is_constant, turns_with_path=is_circle & is_path_mode, via=rows.via)
+    return OrientationControl(keeps_orientation=is_constant, turns_with_path=is_circle & is_path_mode, via=columns.via)
 
 
 def _wrist_led_rows(
-    trace: Trace, rows: MotionColumns, motion_states: MotionStates, ends: EndPoses, carriage: Carriage | None
+    trace: Trace, columns: MotionColumns, motion_states: MotionStates, ends: EndPoses, carriage: Carriage | None
 ) -> Bools:
     """Return which motions (R,) turn the tool by the wrist axes: lines under `$ORI_TYPE=#JOINT` that change it.
 
     :raises ProgramError: the orientation changes under #JOINT or #IGNORE on another motion, in a way that is not known.
     """
-    is_wrist_led = np.zeros(len(rows), dtype=np.bool_)
+    is_wrist_led = np.zeros(len(columns), dtype=np.bool_)
     candidates = np.flatnonzero(
-        motion_states.column(lambda state: state.orientation not in _ONE_ROTATION_MODES) & (rows.kind != PTP)
+        motion_states.column(lambda state: state.orientation not in _ONE_ROTATION_MODES) & (columns.kind != PTP)
     )
     if not len(candidates):
         return is_wrist_led
     modes = motion_states.take(candidates).column(lambda state: state.orientation)
-    next_rows = np.minimum(candidates + 1, len(rows) - 1)  # the last motion itself, which has no next one
+    next_rows = np.minimum(candidates + 1, len(columns) - 1)  # the last motion itself, which has no next one
     is_turned, is_next_turned = (
         ~same_orientation(ends.start.at(subset)[:, :3, :3], ends.pose[subset, :3, :3])
         for subset in (candidates, next_rows)
     )
     # under #IGNORE the next motion begins with the orientation that the controller has chosen
     is_turned |= is_next_turned & (modes == IGNORE)
-    is_led_by_wrist = (modes == JOINT) & (rows.kind[candidates] == LIN)
+    is_led_by_wrist = (modes == JOINT) & (columns.kind[candidates] == LIN)
     if carriage is not None:
         is_led_by_wrist &= carriage.travel[candidates] <= _TRAVEL_TOLERANCE
     is_wrist_led[candidates[is_turned & is_led_by_wrist]] = True
@@ -555,12 +559,12 @@ def _wrist_led_rows(
     if is_unknown.any():
         first = int(np.argmax(is_unknown))
         advice = "Use $ORI_TYPE=#VAR: the orientation then changes by one rotation, from target to target."
-        raise trace.error(_UNKNOWN_TURN_MESSAGES[str(modes[first])], int(rows.line[candidates[first]]), advice)
+        raise trace.error(_UNKNOWN_TURN_MESSAGES[str(modes[first])], int(columns.trace_row[candidates[first]]), advice)
     return is_wrist_led
 
 
 def _check_automatic_wrist_mode(
-    trace: Trace, rows: MotionColumns, motion_states: MotionStates, ends: EndPoses, settings: Settings
+    trace: Trace, columns: MotionColumns, motion_states: MotionStates, ends: EndPoses, settings: Settings
 ) -> None:
     """Refuse spline motions whose orientation the controller may lead by the wrist axes.
 
@@ -574,14 +578,14 @@ def _check_automatic_wrist_mode(
     )
     if not may_use_wrist.any():
         return
-    is_free = motion_states.column(lambda state: state.orientation == FREE) & may_use_wrist & (rows.kind != PTP)
+    is_free = motion_states.column(lambda state: state.orientation == FREE) & may_use_wrist & (columns.kind != PTP)
     free_rows = np.flatnonzero(is_free)
-    spline_rows = free_rows[is_spline(trace, rows, free_rows)]
+    spline_rows = free_rows[is_spline(trace, columns, free_rows)]
     turn = angle_between(ends.start.at(spline_rows)[:, :3, :3], ends.pose[spline_rows, :3, :3])
     for row in spline_rows[turn > _TURN_TOLERANCE].tolist():
         settings.refuse_uncertain(motion_states.at(row), ["wrist_mode"])  # raises if the mode is not known
         problem = "the orientation changes under $SPL_ORI_JOINT_AUTO=#ON: the wrist axes may lead it, not one rotation"
-        raise trace.error(problem, int(rows.line[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
+        raise trace.error(problem, int(columns.trace_row[row]), "Use $SPL_ORI_JOINT_AUTO=#OFF.")
 
 
 class _CircleColumns(NamedTuple):
@@ -612,19 +616,19 @@ def _circle_columns(
     :param text_ends: (n, 3) X, Y, Z of the ends of the n circles as the text gives them [mm].
     :raises ProgramError: a circle is not defined by its points, or it is not known how the tool turns on it.
     """
-    trace, (rows, motion_states, _, moves) = targets.trace, sequence
-    drops_via_orientation = np.zeros(len(rows), dtype=np.bool_)
-    nan_rows = np.broadcast_to(np.nan, (len(rows), 3))  # takes no memory
-    circle_rows = np.flatnonzero(rows.kind == CIRC)
+    trace, (columns, motion_states, _, moves) = targets.trace, sequence
+    drops_via_orientation = np.zeros(len(columns), dtype=np.bool_)
+    nan_rows = np.broadcast_to(np.nan, (len(columns), 3))  # takes no memory
+    circle_rows = np.flatnonzero(columns.kind == CIRC)
     if not len(circle_rows):
         return _CircleColumns(nan_rows, nan_rows, nan_rows[:, 0], drops_via_orientation)
-    circles = _circles(trace, rows, circle_rows, ends, text_ends)
-    angle = _programmed_angles(moves, circle_rows, len(rows))
+    circles = _circles(trace, columns, circle_rows, ends, text_ends)
+    angle = _programmed_angles(moves, circle_rows, len(columns))
     has_angle = ~np.isnan(angle)  # circles with CA
     # the arc does not end at the end point
     has_other_end = has_angle & (np.abs(angle - circles.arcs.angle) >= _ARC_TOLERANCE)
     _check_circular_angles(targets, circle_rows[has_other_end], ends)
-    orientations = auxiliary_orientations(trace, rows, moves, circle_rows, motion_states.take(circle_rows))
+    orientations = auxiliary_orientations(trace, columns, moves, circle_rows, motion_states.take(circle_rows))
     _check_turns(circles, orientations, targets, motion_states, settings)
     drops_via_orientation[circle_rows] = orientations.has_effect
     centre, normal, sweep = nan_rows.copy(), nan_rows.copy(), nan_rows[:, 0].copy()
@@ -655,7 +659,7 @@ def _check_turns(
         raise other_rotation_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
 
 
-def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:
+def _circles(trace: Trace, columns: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:
     """Return the circles through the points of the text; components that a point lacks are those of the start.
 
     :param circle_rows: (n,) rows of the circles.
@@ -663,12 +667,12 @@ def _circles(trace: Trace, rows: MotionColumns, circle_rows: Ints, ends: EndPose
     :raises ProgramError: the points of a circle do not define a circle.
     """
     start = ends.start.at(circle_rows)
-    via, end = rows.via[circle_rows] * M_PER_MM, text_ends * M_PER_MM
+    via, end = columns.via[circle_rows] * M_PER_MM, text_ends * M_PER_MM
     for row, points in ends.circles.items():  # relative circles
         index = np.searchsorted(circle_rows, row)
         via[index], end[index] = points * M_PER_MM
     via, end = (np.where(np.isnan(points), start[:, :3, 3], points) for points in (via, end))
-    arcs = circle_geometry(trace, rows.line[circle_rows], start[:, :3, 3], via, end)
+    arcs = circle_geometry(trace, columns.trace_row[circle_rows], start[:, :3, 3], via, end)
     return Circles(circle_rows, start, ends.pose[circle_rows], via, arcs)
 
 
@@ -743,11 +747,15 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     )
 
 
-def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
+def _speed_blending_issues(trace: Trace, columns: MotionColumns) -> list[Issue]:
     """Return the issue that paths are approximated by speed or orientation (C_VEL, C_ORI); empty if none is."""
     # path motions with text behind the target that `$APO.CDIS` does not apply to
-    exact_rows = np.flatnonzero((rows.kind != PTP) & ~rows.approximated & (rows.tail[:, 1] > rows.tail[:, 0]))
-    tails = zip(exact_rows.tolist(), rows.line[exact_rows].tolist(), rows.tail[exact_rows].tolist(), strict=True)
+    exact_rows = np.flatnonzero(
+        (columns.kind != PTP) & ~columns.approximated & (columns.tail[:, 1] > columns.tail[:, 0])
+    )
+    tails = zip(
+        exact_rows.tolist(), columns.trace_row[exact_rows].tolist(), columns.tail[exact_rows].tolist(), strict=True
+    )
     speed_rows = [
         row
         for row, line, tail in tails
@@ -759,7 +767,7 @@ def _speed_blending_issues(trace: Trace, rows: MotionColumns) -> list[Issue]:
         "C_VEL and C_ORI blend by speed and orientation: how far that rounds corners is not known, and "
         "does not count in the check of the tolerance."
     )
-    line = trace.reported_lines[rows.line[speed_rows] - 1]
+    line = trace.reported_lines[columns.trace_row[speed_rows] - 1]
     lines = tuple(distinct(line).tolist())
     return [Issue("info", "blending-by-speed", message, int(line[0]), count=len(speed_rows), lines=lines)]
 

@@ -185,14 +185,14 @@ def _first_difference(
     :param first: motions of the first run; `second` those of the second. If one run has more motions than the other,
         the line of the first motion is returned.
     """
-    if len(first.rows) != len(second.rows):
-        return int((first.rows if len(first.rows) else second.rows).line[0])
-    is_same = np.ones(len(first.rows), dtype=np.bool_)
+    if len(first.columns) != len(second.columns):
+        return int((first.columns if len(first.columns) else second.columns).trace_row[0])
+    is_same = np.ones(len(first.columns), dtype=np.bool_)
     for first_values, second_values in (
-        (first.rows.numbers, second.rows.numbers),
-        (first.rows.posture, second.rows.posture),
-        (first.rows.external, second.rows.external),
-        (first.rows.via, second.rows.via),
+        (first.columns.numbers, second.columns.numbers),
+        (first.columns.posture, second.columns.posture),
+        (first.columns.external, second.columns.external),
+        (first.columns.via, second.columns.via),
         (
             _settings_by_state(first_settings, first)[first.motion_states.index],
             _settings_by_state(second_settings, second)[second.motion_states.index],
@@ -204,7 +204,7 @@ def _first_difference(
     for row, move in first.moves.items():
         is_same[row] &= row in second.moves and _are_equal(move.end.position, second.moves[row].end.position)
     rows = np.flatnonzero(~is_same)
-    return int(first.rows.line[rows[0]]) if len(rows) else None
+    return int(first.columns.trace_row[rows[0]]) if len(rows) else None
 
 
 def _are_equal(position: Position, other_position: Position) -> bool:

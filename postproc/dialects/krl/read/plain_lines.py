@@ -189,7 +189,7 @@ def _motions_of_lines(
     stop = _skip_blanks(raw, ends - 1, -1) + 1  # behind the last character that is neither blank nor comment
     target_start = points[:, :1, None] + shift[:, None, None]  # (P, 1, 1), in the file
     return MotionColumns(
-        line=compact(index + 1 + line_count, np.int32),
+        trace_row=compact(index + 1 + line_count, np.int32),
         kind=compact(kind, np.int8),
         # columns of `numbers`: X … C, S and T, E1 … E6
         numbers=numbers[:, :6].copy(),
@@ -408,7 +408,7 @@ class PlainLines(Struct, frozen=True):
     @property
     def motion_lines(self) -> Ints:
         """Lines of the motions (P,), from 1."""
-        return np.concatenate([rows.line for rows in self.motions])
+        return np.concatenate([columns.trace_row for columns in self.motions])
 
     def is_other_line(self, count: int) -> Bools:
         """Return which of the lines 1 … count are neither plain motions nor plain settings (count,)."""
@@ -447,15 +447,17 @@ def plain_rows_of_trace(trace: Trace, plain_by_source: Mapping[Source, PlainLine
         lines = trace.line[rows]
         columns = merged_motions([*source_lines.motions], np.arange(sum(map(len, source_lines.motions))))
         # for each row the index of its motion, or setting; −1 if it is none
-        motion_indices = _index_of_line(columns.line, len(source.starts))[lines - 1]
+        motion_indices = _index_of_line(columns.trace_row, len(source.starts))[lines - 1]
         is_motion = motion_indices >= 0
-        motions.append(replace(columns.take(motion_indices[is_motion]), line=compact(rows[is_motion] + 1, np.int32)))
+        motions.append(
+            replace(columns.take(motion_indices[is_motion]), trace_row=compact(rows[is_motion] + 1, np.int32))
+        )
         setting_indices = _index_of_line(source_lines.settings.line, len(source.starts))[lines - 1]
         is_setting = setting_indices >= 0
         values = source_lines.settings.values[:, setting_indices[is_setting]]
         settings.append(PlainSettings(rows[is_setting] + 1, values))
     # sort the motions and settings of all files by their rows
-    motion_rows = np.concatenate([part.line for part in motions])
+    motion_rows = np.concatenate([part.trace_row for part in motions])
     ranks = np.empty(len(motion_rows), dtype=np.int64)  # of each motion by its row, from 0
     ranks[np.argsort(motion_rows, kind="stable")] = np.arange(len(motion_rows))
     setting_rows = np.concatenate([part.line for part in settings])

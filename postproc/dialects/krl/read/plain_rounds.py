@@ -132,13 +132,13 @@ def _counter_offset(point: Reference, counter: str) -> int | None:
 class ElementMotions(Struct, frozen=True, eq=False):
     """The motions that one statement of a plain body makes, one each round.
 
-    :param rows: the N motions.
+    :param columns: the N motions.
     :param source: the data list that declares the points.
     :param literal: (N, 2) spans of the points in the data list.
     :param name: name of the array, upper case.
     """
 
-    rows: MotionColumns
+    columns: MotionColumns
     source: Source
     literal: Ints
     name: str
@@ -217,7 +217,7 @@ def _element_motions(
     indices = rounds.indices(_counter_offset(motion.end, head.name) or 0)  # `plain_body` allows no other index
     literals = run.variables.data_spans(run.stored_name(motion.end.name), indices)
     points = None if literals is None else _scanned_points(*literals)
-    if points is None or (np.abs(points.rows.numbers) > LARGEST_COORDINATE).any():
+    if points is None or (np.abs(points.columns.numbers) > LARGEST_COORDINATE).any():
         return None
     kind = KINDS[motion.word]
     _, is_approximated = reader.tail_settings(Place(rounds.source, motion_line), kind, motion.tail)
@@ -226,16 +226,16 @@ def _element_motions(
         """Return n offsets that are equal in all rounds as an array (rounds, n)."""
         return np.tile(np.array(offsets, dtype=np.int32), (rounds.count, 1))
 
-    rows = replace(
-        points.rows,
-        line=rounds.rows_of_statement(motion_line),
+    columns = replace(
+        points.columns,
+        trace_row=rounds.rows_of_statement(motion_line),
         kind=np.full(rounds.count, kind),
         keyword=repeated_offsets(motion.start)[:, 0],
         target=repeated_offsets(motion.end.start, motion.end.stop),
         tail=repeated_offsets(motion.tail.start, motion.tail.stop),
         approximated=np.full(rounds.count, is_approximated),
     )
-    return replace(points, rows=rows, name=motion.end.name)
+    return replace(points, columns=columns, name=motion.end.name)
 
 
 def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> ElementMotions | None:
@@ -251,9 +251,9 @@ def _scanned_points(source: Source, spans: Sequence[tuple[int, int]]) -> Element
     starts = np.append(0, ends[:-1])
     lines = Source(replace(source.document, text=text), text, source.index, starts, stops=ends - 1)  # without "\n"
     parts = plain_lines.scan(lines)
-    rows = merged_motions(parts, np.arange(sum(map(len, parts))))
-    if len(rows) != len(spans):  # not all lines are plain
+    columns = merged_motions(parts, np.arange(sum(map(len, parts))))
+    if len(columns) != len(spans):  # not all lines are plain
         return None
     # from offsets in the text of these lines to offsets in the file
     shift = np.array([start for start, _ in spans]) - starts - len(_MOTION_PREFIX)
-    return ElementMotions(rows, source, literal=rows.target + shift[:, None], name="")
+    return ElementMotions(columns, source, literal=columns.target + shift[:, None], name="")

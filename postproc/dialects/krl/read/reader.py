@@ -239,7 +239,7 @@ class _Reading(Struct, frozen=True, eq=False):
         main, separation = executed_program.main, executed_program.separation
         run, execution, sequence = main.run, main.execution, separation.sequence
         order = self._motion_order(main, separation)
-        _check_size(execution.trace, sequence.rows)
+        _check_size(execution.trace, sequence.columns)
         _check_starts(main, sequence)
         motions, layout, assumptions = motions_and_layout(
             main, sequence, self.cell.start_joints, self.kinematics, order.predecessors
@@ -266,7 +266,7 @@ class _Reading(Struct, frozen=True, eq=False):
             turn_speeds=stated_turn_speeds(sequence.numbers),
             after=order.predecessors,
             joins=joined_ends,
-            branches=branch_spans(execution, sequence.rows.line),
+            branches=branch_spans(execution, sequence.columns.trace_row),
             transitions=transitions(
                 execution, layout.trace_row, order.predecessors, order.uncorrected_lines, order.unchecked_joins
             ),
@@ -299,7 +299,11 @@ class _Reading(Struct, frozen=True, eq=False):
             frozenset() if self.cell.carriage is not None else joins_before_joint_targets(execution, sequence)
         )
         notes = force_notes(
-            execution, sequence.rows.line, sequence.rows.kind == PTP, run.unknown_force_reasons, unchecked_joins
+            execution,
+            sequence.columns.trace_row,
+            sequence.columns.kind == PTP,
+            run.unknown_force_reasons,
+            unchecked_joins,
         )
         if not self.cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
@@ -423,7 +427,7 @@ def _program_issues(
     """
     main, separation = executed_program.main, executed_program.separation
     yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
-    yield from issues_of(main, separation.sequence.motion_states, separation.sequence.rows, layout)
+    yield from issues_of(main, separation.sequence.motion_states, separation.sequence.columns, layout)
     yield from _cell_value_issues(executed_program)
     if (loop := main.execution.endless_loop) is not None:
         yield endless_loop_issue(main.execution, loop)
@@ -554,19 +558,19 @@ def _folders(document: Document, cell: Cell) -> list[Path]:
     return own_folders + [Path(cell.folder) / folder for folder in cell.krl.search]
 
 
-def _check_size(trace: Trace, rows: MotionColumns) -> None:
+def _check_size(trace: Trace, columns: MotionColumns) -> None:
     """Refuse coordinates beyond `LARGEST_COORDINATE`, which no robot reaches.
 
-    :param rows: all motions of the program.
+    :param columns: all motions of the program.
     :raises ProgramError: a motion has such a coordinate; the first one is named.
     """
-    is_too_far = any_column(np.abs(rows.numbers) > LARGEST_COORDINATE) | any_column(
-        np.abs(rows.via) > LARGEST_COORDINATE
+    is_too_far = any_column(np.abs(columns.numbers) > LARGEST_COORDINATE) | any_column(
+        np.abs(columns.via) > LARGEST_COORDINATE
     )
     if is_too_far.any():
         row = int(np.argmax(is_too_far))
-        largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (rows.numbers, rows.via))
-        raise out_of_reach_error(trace.place(int(rows.line[row])), largest)
+        largest = max(float(np.nanmax(np.abs(values[row]), initial=0.0)) for values in (columns.numbers, columns.via))
+        raise out_of_reach_error(trace.place(int(columns.trace_row[row])), largest)
 
 
 def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
@@ -580,10 +584,10 @@ def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
     if main.run.keeps_unresolved:
         return  # such motions have been left out as uncorrected
     for line, reason in main.run.interruptible_calls:
-        row = int(np.searchsorted(sequence.rows.line, line))  # the next motion
-        if row < len(sequence.rows) and depends_on_start(sequence, row):
+        row = int(np.searchsorted(sequence.columns.trace_row, line))  # the next motion
+        if row < len(sequence.columns) and depends_on_start(sequence, row):
             raise reason
     for call in main.run.untraced_calls:
-        row = int(np.searchsorted(sequence.rows.line, call.row))  # the next motion
-        if row < len(sequence.rows) and not is_ptp_to_joints(sequence, row):
+        row = int(np.searchsorted(sequence.columns.trace_row, call.row))  # the next motion
+        if row < len(sequence.columns) and not is_ptp_to_joints(sequence, row):
             raise call.reason

@@ -101,15 +101,15 @@ class SplineBlocks:
         self.open_block = None
 
 
-def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
+def check_words(trace: Trace, columns: MotionColumns, block: np.ndarray) -> None:
     """Refuse motions that are not allowed inside or outside of a spline block.
 
-    :param rows: the R motions.
+    :param columns: the R motions.
     :param block: (R,) word of the block that contains each motion, such as SPLINE; empty outside of blocks.
     :raises ProgramError: SPL is outside of a block, or a block contains a motion of a kind that it may not contain.
     """
-    for row in np.flatnonzero((block != "") | (rows.kind == SPL)).tolist():
-        line, start = rows.line.item(row), rows.keyword.item(row)
+    for row in np.flatnonzero((block != "") | (columns.kind == SPL)).tolist():
+        line, start = columns.trace_row.item(row), columns.keyword.item(row)
         text = trace.source(line).text
         word = word_at(text, start, len(text)).removesuffix("_REL")
         if block[row] == "":
@@ -120,29 +120,29 @@ def check_words(trace: Trace, rows: MotionColumns, block: np.ndarray) -> None:
             raise trace.error(f"{word} in a {block[row]} block", line, advice)
 
 
-def is_spline(trace: Trace, rows: MotionColumns, indices: Ints) -> Bools:
+def is_spline(trace: Trace, columns: MotionColumns, indices: Ints) -> Bools:
     """Return which motions (n,) are spline motions: SLIN, SCIRC, SPTP, SPL.
 
-    :param rows: all motions of the program.
+    :param columns: all motions of the program.
     :param indices: (n,) rows of the motions in question.
     """
-    file, is_spline_row = trace.file[rows.line[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
+    file, is_spline_row = trace.file[columns.trace_row[indices] - 1], np.zeros(len(indices), dtype=np.bool_)
     for number, source in enumerate(trace.sources):
-        keywords = rows.keyword[indices[file == number]].tolist()
+        keywords = columns.keyword[indices[file == number]].tolist()
         # the words of other motions do not begin with S
         is_spline_row[file == number] = [source.text[offset] in "sS" for offset in keywords]
     return is_spline_row
 
 
-def approximated_motions(rows: MotionColumns, is_in_block: Bools, end_lines: list[int]) -> Bools:
+def approximated_motions(columns: MotionColumns, is_in_block: Bools, end_lines: list[int]) -> Bools:
     """Return which motions (R,) are approximated: at their ends the robot rounds the corner.
 
-    :param rows: the R motions, with their own approximation.
+    :param columns: the R motions, with their own approximation.
     :param is_in_block: (R,) True for motions in a spline block, of which only the last can be approximated.
     :param end_lines: rows of the trace with ENDSPLINE C_SPL.
     """
-    is_approximated = rows.approximated & ~is_in_block
-    last_rows = np.searchsorted(rows.line, end_lines) - 1  # the motion before each; −1: none
+    is_approximated = columns.approximated & ~is_in_block
+    last_rows = np.searchsorted(columns.trace_row, end_lines) - 1  # the motion before each; −1: none
     is_approximated[last_rows[last_rows >= 0]] = True
     return np.asarray(is_approximated)
 

@@ -69,16 +69,16 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
     :raises ProgramError: no motion can be corrected; or, without that option, a motion is synchronised with another
         robot.
     """
-    run, rows = main.run, sequence.rows
-    sync_motions = list(_synchronised_motions(main, rows.line))
+    run, columns = main.run, sequence.columns
+    sync_motions = list(_synchronised_motions(main, columns.trace_row))
     if sync_motions and not run.keeps_unresolved:
         _, error = sync_motions[0]
         raise error
     unknown_motions = list(uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
     reasons = dict(run.unresolved_motions)
-    is_dropped = np.zeros(len(rows), dtype=np.bool_)
+    is_dropped = np.zeros(len(columns), dtype=np.bool_)
     for row, reason in (*unknown_motions, *sync_motions):
-        reasons[int(rows.line[row])] = reason
+        reasons[int(columns.trace_row[row])] = reason
         is_dropped[row] = True
     # without the option, motions that depend on such calls are refused later
     stop_lines = [line for line, _ in run.interruptible_calls] if run.keeps_unresolved else []
@@ -94,8 +94,8 @@ def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> Separated
         run.followed_names -= {(move.trace_row, point.start) for point in (move.end, move.via) if point is not None}
     corrected_motions = _without_rows(sequence, is_dropped)
     new_row = np.cumsum(~is_dropped) - 1  # row of each corrected motion among the corrected ones
-    begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(rows)]
-    predecessors = np.arange(len(corrected_motions.rows)) - 1
+    begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(columns)]
+    predecessors = np.arange(len(corrected_motions.columns)) - 1
     predecessors[begins] = begins  # the motion itself: its start is not known
     unresolved, issues = _report_unresolved(main, reasons)
     return SeparatedMotions(
@@ -118,12 +118,12 @@ def _drop_dependent_motions(
     :param is_dropped: (M,) True for motions that stay uncorrected; set to True for dropped motions.
     :param reasons: line of the trace → why its motion stays uncorrected; dropped motions are added.
     """
-    rows, open_rows = sequence.rows, set[int]()
+    columns, open_rows = sequence.columns, set[int]()
     for line in gap_lines:
-        row = int(np.searchsorted(rows.line, line, side="right"))  # the next motion
-        while row < len(rows) and (is_dropped[row] or depends_on_start(sequence, row)):
+        row = int(np.searchsorted(columns.trace_row, line, side="right"))  # the next motion
+        while row < len(columns) and (is_dropped[row] or depends_on_start(sequence, row)):
             if not is_dropped[row]:
-                reasons[int(rows.line[row])] = main.run.trace.error(_UNKNOWN_START, int(rows.line[row]))
+                reasons[int(columns.trace_row[row])] = main.run.trace.error(_UNKNOWN_START, int(columns.trace_row[row]))
             is_dropped[row] = True
             row += 1
         open_rows.add(row)
@@ -138,7 +138,7 @@ def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions
     is_kept = ~is_dropped
     new_row = np.cumsum(is_kept) - 1  # row of each kept motion among the kept ones
     return OrderedMotions(
-        rows=sequence.rows.take(is_kept),
+        columns=sequence.columns.take(is_kept),
         motion_states=sequence.motion_states.take(is_kept),
         numbers=sequence.numbers.of_rows(is_kept),
         moves={int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
@@ -296,16 +296,16 @@ def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -
     :param arcs: False to disregard the shape of arcs: circles with complete points and without CA do not count then.
     """
     move = sequence.moves.get(row)
-    if sequence.rows.kind[row] != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
+    if sequence.columns.kind[row] != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
         return True
     if move is not None and (move.is_via_incomplete or move.angle is not None):
         return True
-    kind = sequence.rows.kind[row]
+    kind = sequence.columns.kind[row]
     if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative_axes)):
         return True
     if move is not None:
         return not move.end.position.is_complete
-    return bool(np.isnan(sequence.rows.numbers[row]).any())
+    return bool(np.isnan(sequence.columns.numbers[row]).any())
 
 
 def _report_unresolved(
@@ -351,7 +351,7 @@ def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, start_rows
     :param start_rows: rows of these motions in `sequence`.
     """
     trace = main.run.trace
-    origins = {line: trace.place(line) for line in sequence.rows.line[start_rows].tolist()}
+    origins = {line: trace.place(line) for line in sequence.columns.trace_row[start_rows].tolist()}
     own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
     for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN_START_MESSAGE}", subject=name)
