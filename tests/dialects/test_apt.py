@@ -805,7 +805,7 @@ def test_plain_points_mean_the_same_in_bulk_and_one_by_one(lines):
 def test_most_points_are_read_in_bulk():
     rows = "".join(f"GOTO/{x},{y},0.5,0.0,0.0,1.0\n" for x, y in itertools.product(range(40), range(50)))
     source = statements.split(decode("part.apt", (AT_Z9 + rows).encode()))
-    assert (len(source.points), len(source.other_rows)) == (2001, 3)
+    assert (len(source.goto_rows), len(source.other_rows)) == (2001, 3)
 
 
 @pytest.mark.parametrize(("name", "kinds"), [("catia_apt.nc", [PTP]), ("nx_clsf.nc", [PTP, LIN])])

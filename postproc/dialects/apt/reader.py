@@ -21,10 +21,10 @@ from msgspec.structs import replace
 from postproc.cell import Cell
 from postproc.chunks import Runs
 from postproc.dialects.apt import statements, systems
-from postproc.dialects.apt.course import ARC, RAPID, Course, Fault, Part
+from postproc.dialects.apt.execution import execute
+from postproc.dialects.apt.execution_result import ARC, RAPID, ExecutionResult, Fault, MoveRun
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
-from postproc.dialects.apt.walk import execute
 from postproc.dialects.cell_lines import with_waits
 from postproc.dialects.circles import ArcColumns
 from postproc.dialects.dialect import CamFormat
@@ -71,17 +71,17 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
     :raises InputError: all errors of the file together, each with file, line, text and advice.
     """
     source = statements.split(document)
-    course = execute(source, cell)
-    notes, comments, errors = _comments(source, course)
+    result = execute(source, cell)
+    notes, comments, errors = _comments(source, result)
     errors += [_changed_system(source, line) for line in systems.changed_axis_systems(source.comments)]
-    moves = _Moves(course.parts)
-    faults = [*course.faults, *_opposite_directions(moves, source)]
+    moves = _Moves(result.move_runs)
+    faults = [*result.faults, *_opposite_directions(moves, source)]
     if faults or errors:
         raise combined_error([*(_error(source, fault.row, fault.problem, fault.advice) for fault in faults), *errors])
-    if not course.parts:
+    if not result.move_runs:
         advice = "Check that the file is the right one and complete."
         raise ProgramError("the program moves nothing", file=document.name, advice=advice)
-    numbers = {number: row for row, number in enumerate(course.tools, 1)} if cell.tools else {}  # 0 is `$TOOL`
+    numbers = {number: row for row, number in enumerate(result.tools, 1)} if cell.tools else {}  # 0 is `$TOOL`
     base = cell.base.pose()
     tools = np.stack([cell.tool.pose(), *(cell.tools[f"{number:g}"].pose() for number in numbers)])
     home = None
@@ -98,10 +98,10 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         bases=base[None],
         tools=tools,
         notes=_notes_before_motions(notes, motions),
-        events=tuple(with_waits(_events(course, comments, source, motion_moves, motions), cell)),
-        unforced=np.zeros(int(course.begins_at_start), dtype=np.int64),
+        events=tuple(with_waits(_events(result, comments, source, motion_moves, motions), cell)),
+        unforced=np.zeros(int(result.begins_at_start), dtype=np.int64),
         still=distinct(source.line[np.delete(moves.row, motion_moves)]),
-        issues=tuple(_issues(course, source, moves, motion_moves)),
+        issues=tuple(_issues(result, source, moves, motion_moves)),
     )
 
 
@@ -131,19 +131,20 @@ class _Comments(NamedTuple):
     faults: list[InputError]
 
 
-def _comments(source: Statements, course: Course) -> _Comments:
+def _comments(source: Statements, result: ExecutionResult) -> _Comments:
     """Return the comments up to the end of the program: comments after ``$$``, and force comments in PPRINT.
 
-    Other texts of PPRINT are left out: they are events of `course`.
+    Other texts of PPRINT are left out: they are events of `result`.
     """
     notes: list[ForceNote] = []
     plain_comments: list[tuple[int, str]] = []
     faults: list[InputError] = []
+    # line, text, and whether PPRINT or a similar statement prints it
     texts = [(line, text, False) for line, text in source.comments]
-    texts += [(int(source.line[e.row]), e.text, True) for e in course.events if e.kind == "comment"]
-    last = int(source.line[min(course.after_end)]) if course.after_end else len(source.spans[0]) + 1
+    texts += [(int(source.line[e.row]), e.text, True) for e in result.events if e.kind == "comment"]
+    line_after_end = int(source.line[min(result.after_end)]) if result.after_end else len(source.spans[0]) + 1
     for line, text, is_printed in sorted(texts):
-        if line >= last:
+        if line >= line_after_end:
             break
         try:
             note = parse_force_note(text, line, source.document.name)
@@ -158,32 +159,32 @@ def _comments(source: Statements, course: Course) -> _Comments:
 
 
 class _Moves:
-    """All moves as arrays (N, …), see `course.Part`.
+    """All moves as arrays (N, …).
 
-    :ivar parts: the parts that they come from.
+    :ivar move_runs: the runs that they come from: consecutive moves of one kind, feed and tool, see `MoveRun`.
     :ivar row: (N,) rows of their statements.
     :ivar begin: (N, 3) beginnings of the moves [mm]; the first move has none and gets its end.
     :ivar end: (N, 3) ends of the moves [mm].
     :ivar axis: (N, 3) direction of the tool at the ends.
-    :ivar part: (N,) index of the part of each move.
+    :ivar run_index: (N,) index of the run of each move.
     :ivar turns: (N,) True if the direction of the tool changes; before the first move it is z.
     """
 
-    def __init__(self, parts: Sequence[Part]) -> None:
-        """Join the moves of all parts; there may be none."""
+    def __init__(self, move_runs: Sequence[MoveRun]) -> None:
+        """Join the moves of all runs; there may be none."""
         no_rows, no_points = np.zeros(0, dtype=np.int64), np.zeros((0, 3))
-        self.parts = parts
-        self.row: Ints = np.concatenate([no_rows, *(part.row for part in parts)])
-        self.end: Array = np.concatenate([no_points, *(part.end for part in parts)])
-        self.axis: Array = np.concatenate([no_points, *(part.axis for part in parts)])
-        self.part = np.repeat(np.arange(len(parts)), [len(part.row) for part in parts])
+        self.move_runs = move_runs
+        self.row: Ints = np.concatenate([no_rows, *(run.row for run in move_runs)])
+        self.end: Array = np.concatenate([no_points, *(run.end for run in move_runs)])
+        self.axis: Array = np.concatenate([no_points, *(run.axis for run in move_runs)])
+        self.run_index = np.repeat(np.arange(len(move_runs)), [len(run.row) for run in move_runs])
         self.begin = np.concatenate([self.end[:1], self.end[:-1]])
         previous_axis = np.concatenate([[[0.0, 0.0, 1.0]], self.axis[:-1]])[: len(self.row)]
         self.turns = norm(self.axis - previous_axis) > _TURN_TOLERANCE
 
     def values_by_move(self, name: str) -> Array:
-        """Return the field `name` of the part of each move (N,)."""
-        return np.array([getattr(part, name) for part in self.parts])[self.part]
+        """Return the field `name` of the run of each move (N,)."""
+        return np.array([getattr(run, name) for run in self.move_runs])[self.run_index]
 
 
 class _Home(NamedTuple):
@@ -198,12 +199,12 @@ def _tools(moves: _Moves, numbers: dict[float, int]) -> Ints:
 
     :param numbers: number of each tool of the program → its index.
     """
-    part_tools = [0 if part.tool is None else numbers.get(part.tool, 0) for part in moves.parts]
-    return np.array(part_tools)[moves.part]
+    run_tools = [0 if run.tool is None else numbers.get(run.tool, 0) for run in moves.move_runs]
+    return np.array(run_tools)[moves.run_index]
 
 
 def _motion_moves(moves: _Moves, numbers: dict[float, int]) -> Ints:
-    """Return the moves (M,) that are motions: the first move, and all moves that are not of zero length.
+    """Return the moves (M,) that become motions of the robot: the first move, and all that are not of zero length.
 
     An arc, a joint motion, a turn and a change of the tool are motions even if the tip does not move.
 
@@ -238,7 +239,7 @@ def _motions(
         joints = joints.copy()
         joints[is_to_home] = home.joints
         target[is_to_home] = home.poses[tool[is_to_home]]
-    arcs = _arcs(moves.parts, moves.part[motion_moves], code == ARC)
+    arcs = _arcs(moves.move_runs, moves.run_index[motion_moves], code == ARC)
     rapid = code == RAPID
     feed = np.where(
         rapid, cell.gcode.rapid_m_per_s, moves.values_by_move("feed")[motion_moves] * (M_PER_MM / S_PER_MIN)
@@ -284,28 +285,30 @@ def _targets(moves: _Moves, motion_moves: Ints, orientation: Array) -> Array:
     return target
 
 
-def _arcs(parts: Sequence[Part], part: Ints, is_arc: Bools) -> ArcColumns:
-    """Return the arcs of motions.
+def _arcs(move_runs: Sequence[MoveRun], run_index: Ints, is_arc: Bools) -> ArcColumns:
+    """Return centre [m], axis and sweep [rad] of M motions; NaN for motions that are no arcs.
 
-    :param part: (M,) index in `parts` of each motion.
+    :param move_runs: runs of moves; an arc is a run of its own, which has its circle.
+    :param run_index: (M,) run of each motion.
     :param is_arc: (M,) True for motions that are arcs.
     """
-    empty = np.broadcast_to(np.nan, (len(part), 3))  # takes no memory
+    empty = np.broadcast_to(np.nan, (len(run_index), 3))  # takes no memory
     if not is_arc.any():
         return ArcColumns(empty, empty, empty[:, 0])
-    columns = ArcColumns.unset(len(part))
+    columns = ArcColumns.unset(len(run_index))
     for n in np.flatnonzero(is_arc).tolist():
-        circle = parts[part[n]].circle
-        if circle is not None:
-            columns.centre[n], columns.normal[n] = circle.centre * M_PER_MM, circle.axis
-            columns.sweep[n] = parts[part[n]].sweep
+        run = move_runs[run_index[n]]
+        if run.circle is not None:
+            columns.centre[n], columns.normal[n] = run.circle.centre * M_PER_MM, run.circle.axis
+            columns.sweep[n] = run.sweep
     return columns
 
 
 def _reference(axis: Array) -> Array:
-    """Return the orientation (3, 3) from whose z axis the tool is tilted to its directions.
+    """Return the orientation (3, 3) from whose z axis the tool is tilted to its directions, by the shortest rotation.
 
-    It is that of `$BASE`, or half a turn about X if the tool comes straight from below anywhere.
+    It is that of `$BASE`, or half a turn about X if the tool comes straight from below anywhere: from z to −z there is
+    no shortest rotation.
 
     :param axis: (n, 3) directions of the tool.
     """
@@ -335,7 +338,11 @@ def _notes_before_motions(notes: Sequence[ForceNote], motions: Motions) -> tuple
 
 
 def _events(
-    course: Course, comments: Sequence[tuple[int, str]], source: Statements, motion_moves: Ints, motions: Motions
+    result: ExecutionResult,
+    comments: Sequence[tuple[int, str]],
+    source: Statements,
+    motion_moves: Ints,
+    motions: Motions,
 ) -> Iterator[Event]:
     """Yield comments and other events in execution order; force comments are left out.
 
@@ -351,7 +358,7 @@ def _events(
             event.value,
             event.text,
         )
-        for event in course.events
+        for event in result.events
         if event.kind != "comment" or parse_force_note(event.text, 1, "") is None
     ]
     # index of the first motion on or behind the line of each comment
@@ -362,12 +369,12 @@ def _events(
     yield from sorted([*course_events, *comment_events], key=lambda event: (event.before, event.line))
 
 
-def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
+def _issues(result: ExecutionResult, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:
     """Yield information and warnings on how the file was read.
 
     :param motion_moves: (M,) moves that are motions.
     """
-    if not course.has_units:
+    if not result.has_units:
         yield Issue("info", "units", "No UNITS are programmed: millimetres are assumed.")
     csys_lines = [line for line, text in source.comments if systems.is_moved(text)]
     if csys_lines:
@@ -378,14 +385,14 @@ def _issues(course: Course, source: Statements, moves: _Moves, motion_moves: Int
         yield Issue(
             "warning", "coordinate-system", message, csys_lines[0], count=len(csys_lines), lines=tuple(csys_lines)
         )
-    for remark in course.remarks:
+    for remark in result.remarks:
         yield Issue(remark.level, remark.kind, remark.message, int(source.line[remark.row]))
     null_lines = distinct(source.line[np.delete(moves.row, motion_moves)])
     if len(null_lines):
         lines = tuple(null_lines.tolist())
         yield Issue("info", "null-move", "A move of zero length is left out.", lines[0], count=len(lines), lines=lines)
-    if course.after_end:
-        lines = tuple(sorted(int(source.line[row]) for row in course.after_end))
+    if result.after_end:
+        lines = tuple(sorted(int(source.line[row]) for row in result.after_end))
         message = "There are statements after the end of the program: they are not executed."
         yield Issue("warning", "after-end", message, lines[0], count=len(lines), lines=lines)
 

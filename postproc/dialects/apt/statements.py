@@ -71,7 +71,7 @@ class Statements(Struct, frozen=True, eq=False):
     :param ends: (S + 1,) offsets in `code`: statement i is ``code[ends[i]:ends[i + 1] - 1]``.
     :param line: (S,) 1-based lines on which the statements begin.
     :param other_rows: (n,) rows of statements that are neither empty nor plain GOTO.
-    :param points: (P,) rows of plain GOTO statements.
+    :param goto_rows: (P,) rows of plain GOTO statements.
     :param numbers: (P, 6) numbers of these; the last three are NaN for a GOTO with three numbers.
     :param comments: 1-based line and text of each comment.
     :param spans: offsets of the beginnings and ends of the lines of the file.
@@ -82,7 +82,7 @@ class Statements(Struct, frozen=True, eq=False):
     ends: Ints
     line: Ints
     other_rows: Ints
-    points: Ints
+    goto_rows: Ints
     numbers: Array
     comments: tuple[tuple[int, str], ...]
     spans: tuple[Ints, Ints]
@@ -124,7 +124,7 @@ def split(document: Document) -> Statements:
         ends=ends,
         line=line,
         other_rows=np.flatnonzero(~is_plain_or_empty),
-        points=points,
+        goto_rows=points,
         numbers=numbers,
         comments=tuple(_comments(document.text, starts, comment_spans)),
         spans=(starts, stops),

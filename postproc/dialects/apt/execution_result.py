@@ -31,7 +31,7 @@ class Remark(NamedTuple):
     message: str
 
 
-class Happening(Struct, frozen=True):
+class MoveEvent(Struct, frozen=True):
     """An event, see `program.Event`.
 
     :param before: number of moves before it.
@@ -45,8 +45,8 @@ class Happening(Struct, frozen=True):
     text: str = ""
 
 
-class Part(Struct, frozen=True, eq=False):
-    """n consecutive moves of one kind and feed.
+class MoveRun(Struct, frozen=True, eq=False):
+    """n consecutive moves of one kind, feed and tool; an arc is a run of its own.
 
     :param row: (n,) rows of their statements.
     :param end: (n, 3) ends of the moves [mm].
@@ -74,17 +74,18 @@ class Part(Struct, frozen=True, eq=False):
     is_to_home: bool = False
 
 
-class Course(Struct, eq=False):
-    """Result of the execution.
+class ExecutionResult(Struct, eq=False):
+    """Result of the execution of a file: its moves, events, faults and remarks, in order.
 
+    :ivar move_runs: the moves.
     :ivar tools: numbers of the tools, in order of their first use.
     :ivar begins_at_start: True if the first move begins at `[start]` and is at feed.
     :ivar has_units: True if the program states its units.
     :ivar after_end: rows of statements behind the end of the program, which are not executed.
     """
 
-    parts: list[Part] = field(default_factory=list)
-    events: list[Happening] = field(default_factory=list)
+    move_runs: list[MoveRun] = field(default_factory=list)
+    events: list[MoveEvent] = field(default_factory=list)
     faults: list[Fault] = field(default_factory=list)
     remarks: list[Remark] = field(default_factory=list)
     tools: list[float] = field(default_factory=list)

@@ -39,8 +39,8 @@ from postproc.dialects.apt.arcs import (
     tangent_arc,
     turn_count,
 )
-from postproc.dialects.apt.course import ARC, LINE, RAPID, Course, Fault, Happening, Part, Remark
 from postproc.dialects.apt.cycles import Cycle, cycle_words
+from postproc.dialects.apt.execution_result import ARC, LINE, RAPID, ExecutionResult, Fault, MoveEvent, MoveRun, Remark
 from postproc.dialects.apt.inserted import inserted_comment, inserted_fault
 from postproc.dialects.apt.statements import (
     COORDINATES_ADVICE,
@@ -90,8 +90,8 @@ _AMBIGUOUS_POINTS = (
 )
 
 
-class _Walk:
-    """State of the machine from statement to statement, and the moves so far (`course`).
+class _Executor:
+    """Executor of statements: state of the machine, and the moves, events and faults so far (`result`).
 
     In all methods, `row` is the row of the statement that is executed.
 
@@ -129,7 +129,7 @@ class _Walk:
     def __init__(self, statements: Statements, cell: Cell) -> None:
         """Begin with a tool whose position is not known."""
         self.statements, self.cell = statements, cell
-        self.course = Course()
+        self.result = ExecutionResult()
         self.place, self.is_place_known = np.zeros(3), False
         self.axis = np.array([0.0, 0.0, 1.0])
         self.unit = 1.0
@@ -159,56 +159,56 @@ class _Walk:
         self.partno_row = -1
         self.has_path_ended = False
 
-    def run(self) -> Course:
+    def run(self) -> ExecutionResult:
         """Execute all statements in order, and return the result.
 
         The execution stops behind the end of the program, and after more than `MAX_ERRORS` faults.
         """
-        statements, course = self.statements, self.course
+        statements, result = self.statements, self.result
         next_row = 0
         for row in statements.other_rows.tolist():
             self._run_plain_gotos(next_row, row)
             next_row = row + 1
-            if self.end_row >= 0 or len(course.faults) > MAX_ERRORS:
+            if self.end_row >= 0 or len(result.faults) > MAX_ERRORS:
                 break
             try:
                 self._execute(row, statements.of(row))
             except StatementError as cause:
-                course.faults.append(_fault_of(cause, row))
+                result.faults.append(_fault_of(cause, row))
                 self.is_in_doubt = True
         else:
             self._run_plain_gotos(next_row, len(statements))
         self._end_compensation()
-        if self.pending_arc is not None and not course.faults:
+        if self.pending_arc is not None and not result.faults:
             problem = "an arc without a GOTO behind it"
-            course.faults.append(Fault(self.pending_arc.row, problem, "Write the end of the arc."))
+            result.faults.append(Fault(self.pending_arc.row, problem, "Write the end of the arc."))
         self._check_end()
-        if self.inch_feed_row is not None and not course.has_units:
-            course.faults.append(
+        if self.inch_feed_row is not None and not result.has_units:
+            result.faults.append(
                 Fault(self.inch_feed_row, "a feed in inches, but no UNITS", "Write UNITS/MM or UNITS/INCHES.")
             )
-        return course
+        return result
 
     def _check_end(self) -> None:
-        """Fill `course.after_end` with the statements behind the end of the program.
+        """Fill `result.after_end` with the statements behind the end of the program.
 
         Without an end, add a fault if the program begins with PARTNO; otherwise a warning, unless END-OF-PATH was the
         last statement, or there are faults.
         """
-        statements, course = self.statements, self.course
+        statements, result = self.statements, self.result
         if self.end_row >= 0:
             other_rows = [
                 row for row in statements.other_rows.tolist() if row > self.end_row and statements.of(row) != "FINI"
             ]
-            # points are ascending rows
-            goto_rows = statements.points[np.searchsorted(statements.points, self.end_row) :].tolist()
-            course.after_end = (*other_rows, *goto_rows)
-        elif self.partno_row >= 0 and not course.faults:
+            # `goto_rows` ascend
+            goto_rows = statements.goto_rows[np.searchsorted(statements.goto_rows, self.end_row) :].tolist()
+            result.after_end = (*other_rows, *goto_rows)
+        elif self.partno_row >= 0 and not result.faults:
             problem = "the program begins with PARTNO but ends without FINI"
-            course.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
-        elif not course.faults and not self.has_path_ended:
+            result.faults.append(Fault(len(statements) - 1, problem, "Check that the file was transferred completely."))
+        elif not result.faults and not self.has_path_ended:
             message = "The program ends without FINI, END or END-OF-PATH. Check that the file is complete."
-            course.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
+            result.remarks.append(Remark(len(statements) - 1, "warning", "program-end", message))
 
     def _run_plain_gotos(self, begin: int, end: int) -> None:
         """Execute the plain GOTO statements from row `begin` to row `end` (exclusive); add an error to the faults.
@@ -216,14 +216,14 @@ class _Walk:
         Statements behind FINI or END are not executed.
         """
         statements = self.statements
-        # points are ascending rows: indices of the first one in the range, and behind the last
-        first, last = np.searchsorted(statements.points, [begin, end]).tolist()
+        # `goto_rows` ascend: indices of the first one in the range, and behind the last
+        first, last = np.searchsorted(statements.goto_rows, [begin, end]).tolist()
         if first < last and self.end_row < 0:
             self.has_path_ended = False
             try:
-                self._add_gotos(statements.points[first:last], statements.numbers[first:last])
+                self._add_gotos(statements.goto_rows[first:last], statements.numbers[first:last])
             except StatementError as cause:
-                self.course.faults.append(_fault_of(cause, int(statements.points[first])))
+                self.result.faults.append(_fault_of(cause, int(statements.goto_rows[first])))
 
     def _add_gotos(self, row: Ints, numbers: Array) -> None:
         """Add the moves of GOTO statements.
@@ -246,6 +246,7 @@ class _Walk:
             raise StatementError(*_AMBIGUOUS_POINTS, int(row[0]))
         if self.pending_arc is not None:
             pending, self.pending_arc = self.pending_arc, None
+            # an arc that cannot be checked, because of a fault before, is not added: its end is taken as one point
             first_remaining = 1 if self.is_in_doubt else self._add_pending_arc(pending, row, end, axis)
         if self.cycle is not None:
             for n in range(first_remaining, len(row)):
@@ -308,17 +309,18 @@ class _Walk:
         if len(non_unit_rows):
             advice = "GOTO takes x, y, z, or x, y, z and the direction of the tool i, j, k."
             problem = "the last three numbers are not a direction of length 1"
-            self.course.faults += [Fault(n, problem, advice) for n in row[non_unit_rows[1:MAX_ERRORS]].tolist()]
+            self.result.faults += [Fault(n, problem, advice) for n in row[non_unit_rows[1:MAX_ERRORS]].tolist()]
             raise StatementError(problem, advice, int(row[non_unit_rows[0]]))
         with np.errstate(invalid="ignore"):
             unit = np.concatenate([self.axis[None], words / length[:, None]])
         # row k of `unit` is the direction of statement k − 1; row 0 is the direction before the first statement
-        # latest stated direction at each statement
-        latest = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
-        return np.asarray(unit[latest][1:])
+        latest_row = np.maximum.accumulate(np.append(0, np.where(is_stated, np.arange(1, len(row) + 1), 0)))
+        return np.asarray(unit[latest_row][1:])
 
     def _add_single_move(self, row: int, end: Array, axis: Array) -> None:
         """Add a move that is rapid, or that begins at a position that is not known.
+
+        The position is not known at the beginning of the program and behind GOHOME.
 
         - Position known: a rapid move, or a line at feed.
         - First move of the program: a joint motion, or a line at feed from `[start]`.
@@ -333,7 +335,7 @@ class _Walk:
         if self.is_place_known:
             self._add_move(row, end, axis, RAPID if is_rapid else LINE, 0.0 if is_rapid else self._feed_per_minute(row))
             return
-        has_motions = bool(self.course.parts)
+        has_motions = bool(self.result.move_runs)
         if not is_rapid:
             if has_motions:
                 raise StatementError("GOTO at feed behind GOHOME", "Write RAPID before: the tool is at home.", row)
@@ -355,8 +357,8 @@ class _Walk:
         :raises StatementError: no feed is known.
         """
         message = "The first GOTO is at feed: it begins at [start] of the cell. Check that the path from there is free."
-        self.course.remarks.append(Remark(row, "warning", "from-start", message))
-        self.course.begins_at_start = True
+        self.result.remarks.append(Remark(row, "warning", "from-start", message))
+        self.result.begins_at_start = True
         feed, self.is_place_known = self._feed_per_minute(row), True
         self._add_move(row, end, axis, LINE, feed)
 
@@ -376,7 +378,8 @@ class _Walk:
     def _add_pending_arc(self, pending: PendingArc, row: Ints, end: Array, axis: Array) -> int:
         """Add the arc of a CIRCLE; return the number of the following points that belong to it.
 
-        Fill `undivided_sequences`, and `circle_before` if all points belong to the arc.
+        Creo may divide an arc into several points. Fill `undivided_sequences` (NC sequences in which each arc has one
+        point), and `circle_before` if all points belong to the arc.
 
         :param row: (n,) rows of the statements of the points, n > 0.
         :param end: (n, 3) the points [mm].
@@ -465,28 +468,28 @@ class _Walk:
         :param axis: (3,) direction of the tool at the end.
         :param code: `RAPID`, `LINE` or `ARC`.
         :param feed: feed [mm/min]; 0 for rapid.
-        :param properties: further fields of `Part`.
+        :param properties: further fields of `MoveRun`.
         """
         self._add_moves(np.array([row]), end[None], axis[None], code, feed, **properties)
         self.axis = axis
 
     def _add_moves(self, row: Ints, end: Array, axis: Array, code: int, feed: float, **properties: Any) -> None:
-        """Add moves to the course; the end of the last becomes the position of the tool.
+        """Add moves to the result; the end of the last becomes the position of the tool.
 
         :param row: (n,) rows of the statements.
         :param end: (n, 3) ends of the moves [mm].
         :param axis: (n, 3) directions of the tool at the ends.
         :param code: `RAPID`, `LINE` or `ARC`.
         :param feed: feed [mm/min]; 0 for rapid.
-        :param properties: further fields of `Part`.
+        :param properties: further fields of `MoveRun`.
         """
-        self.course.parts.append(Part(row, end, axis, code, feed, self.tool, **properties))
+        self.result.move_runs.append(MoveRun(row, end, axis, code, feed, self.tool, **properties))
         self.move_count += len(row)
         self.place = end[-1]
 
     def _add_event(self, row: int, kind: EventKind, value: float = 0.0, text: str = "") -> None:
         """Add an event behind the moves so far; `kind`, `value` and `text` as in `program.Event`."""
-        self.course.events.append(Happening(self.move_count, row, kind, value, text))
+        self.result.events.append(MoveEvent(self.move_count, row, kind, value, text))
 
     def _execute(self, row: int, code: str) -> None:
         """Execute a statement that is not a plain GOTO.
@@ -703,10 +706,10 @@ class _Walk:
         unit = _UNITS.get(str(words[0])) if len(words) == 1 else None
         if unit is None:
             raise StatementError("UNITS is not understood", f"Write UNITS/ and one of {', '.join(_UNITS)}.")
-        if unit != self.unit and self.course.parts:
+        if unit != self.unit and self.result.move_runs:
             raise StatementError("UNITS change behind a motion", "Write UNITS before all motions.")
         self.unit = unit
-        self.course.has_units = True
+        self.result.has_units = True
 
     def _read_multiaxis(self, row: int, words: list[float | str]) -> None:
         """Read MULTAX, which states whether GOTO has a direction of the tool.
@@ -720,7 +723,8 @@ class _Walk:
         if words not in ([], ["ON"], ["OFF"]):
             raise StatementError("MULTAX is not understood", "Write MULTAX/ON or MULTAX/OFF.")
         if words == ["OFF"] and self.system_of_file is None:
-            # 1 − z is about half the square of the tilt: smaller ones are rounding
+            # such files do not say whether OFF keeps the direction. 1 − z is about half the square of the tilt: smaller
+            # ones are rounding
             self.needs_direction = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
 
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
@@ -880,8 +884,8 @@ class _Walk:
         tools = self.cell.tools
         if tools and f"{number:g}" not in tools:
             raise StatementError(f"tool {number:g} is not in the cell", f"Write [tools.{number:g}] in the cell.")
-        if number not in self.course.tools:
-            self.course.tools.append(number)
+        if number not in self.result.tools:
+            self.result.tools.append(number)
         tool_differs = tools and number != self.tool
         self.tool = number
         if tool_differs and self.is_place_known:
@@ -910,7 +914,7 @@ class _Walk:
         """
         if words != ["OFF"]:
             message = "OPSKIP: the statements behind it are executed, as with the switch off."
-            self.course.remarks.append(Remark(row, "info", "block-delete", message))
+            self.result.remarks.append(Remark(row, "info", "block-delete", message))
 
     def _read_auxiliary(self, row: int, words: list[float | str]) -> None:
         """Read AUXFUN: an M code by its number.
@@ -984,10 +988,10 @@ class _Walk:
         if compensation is None:
             return
         if not compensation.is_centre:
-            self.course.faults.append(Fault(compensation.row, *_COMPENSATION_FAULT))
+            self.result.faults.append(Fault(compensation.row, *_COMPENSATION_FAULT))
             return
         message = "CUTCOM has no effect: the path is that of the tool's centre, and the offsets hold wear only."
-        self.course.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
+        self.result.remarks.append(Remark(compensation.row, "info", "radius-compensation", message))
 
     def _read_cutter(self, row: int, words: list[float | str]) -> None:
         """Read CUTTER: the diameter of the cutter; without a number the radius is NaN.
@@ -1048,7 +1052,7 @@ class _Walk:
             raise StatementError("MSYS changes within the program", advice)
         if self.axis_system is None:
             message = "MSYS: coordinates are those of this system, which is $BASE of the cell."
-            self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
+            self.result.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.axis_system = words
 
     def _read_section_axes(self, row: int, words: list[float | str]) -> None:
@@ -1073,7 +1077,7 @@ class _Walk:
             raise StatementError("ZERO: the work offset changes within the program", advice)
         if self.work_offset is None:
             message = f"ZERO: coordinates are those of work offset {offset:g}, which is $BASE of the cell."
-            self.course.remarks.append(Remark(row, "info", "coordinate-system", message))
+            self.result.remarks.append(Remark(row, "info", "coordinate-system", message))
         self.work_offset = offset
 
     def _read_end(self, row: int, words: list[float | str]) -> None:
@@ -1086,7 +1090,7 @@ class _Walk:
             self._add_event(row, "coolant_off")
 
     def _read_without_effect(self, row: int, words: list[float | str]) -> None:
-        """Read a statement that has no effect on the motion, with any `words`."""
+        """Read a statement that has no effect on the motion, with any `words`: it does nothing."""
         del row, words
 
 
@@ -1099,55 +1103,55 @@ _SPINDLE_WORDS = {"RPM", "CLW", "CCLW", "ON", "OFF"}
 _LEADING_ZEROS = re.compile(r"^M0+(?=\d)")
 _M_CODE = re.compile(r"M\d{1,9}")
 _EQUIVALENTS: Mapping[str, tuple[Any, list[float | str]]] = {
-    **dict.fromkeys(("M0", "M1"), (_Walk._read_stop, [])),
-    "M3": (_Walk._read_spindle, ["CLW"]),
-    "M4": (_Walk._read_spindle, ["CCLW"]),
-    "M5": (_Walk._read_spindle, ["OFF"]),
-    **dict.fromkeys(("M7", "M8"), (_Walk._read_coolant, ["ON"])),
-    "M9": (_Walk._read_coolant, ["OFF"]),
+    **dict.fromkeys(("M0", "M1"), (_Executor._read_stop, [])),
+    "M3": (_Executor._read_spindle, ["CLW"]),
+    "M4": (_Executor._read_spindle, ["CCLW"]),
+    "M5": (_Executor._read_spindle, ["OFF"]),
+    **dict.fromkeys(("M7", "M8"), (_Executor._read_coolant, ["ON"])),
+    "M9": (_Executor._read_coolant, ["OFF"]),
 }
 """M code → method and values of the statement with the same effect; `[m_codes]` of the cell does not accept them."""
 _HANDLERS: Mapping[str, Any] = {
-    "GOTO": _Walk._read_goto,
-    "GODLTA": _Walk._read_step,
-    "FROM": _Walk._read_start,
-    "GOHOME": _Walk._read_home,
-    "RETRCT": _Walk._read_retract,
-    "RAPID": _Walk._read_rapid,
-    "FEDRAT": _Walk._read_feed,
-    "UNITS": _Walk._read_units,
-    "UNIT": _Walk._read_units,
-    "CUTTER": _Walk._read_cutter,
-    "CSYS": _Walk._read_setup_axes,
-    "TRNTYP": _Walk._check_transformation,
-    "SETUP": _Walk._read_without_effect,
-    "MULTAX": _Walk._read_multiaxis,
-    "TLAXIS": _Walk._read_tool_axis,
-    "CIRCLE": _Walk._read_circle,
-    "MOVARC": _Walk._read_arc,
-    "INDIRV": _Walk._read_direction,
-    "CYCLE": _Walk._read_cycle,
-    "SPINDL": _Walk._read_spindle,
-    "COOLNT": _Walk._read_coolant,
-    "LOADTL": _Walk._read_tool,
-    "LOAD": _Walk._read_tool,
-    "DELAY": _Walk._read_delay,
-    "DWELL": _Walk._read_delay,
-    "STOP": _Walk._read_stop,
-    "OPSTOP": _Walk._read_stop,
-    "OPSKIP": _Walk._read_skip,
-    "AUXFUN": _Walk._read_auxiliary,
-    "CUTCOM": _Walk._read_compensation,
-    "MODE": _Walk._read_mode,
-    "MSYS": _Walk._read_coordinate_system,
-    "MCS": _Walk._read_section_axes,
-    "ZERO": _Walk._read_work_offset,
-    "END": _Walk._read_end,
-    "FINI": _Walk._read_end,
-    "REWIND": _Walk._read_without_effect,
+    "GOTO": _Executor._read_goto,
+    "GODLTA": _Executor._read_step,
+    "FROM": _Executor._read_start,
+    "GOHOME": _Executor._read_home,
+    "RETRCT": _Executor._read_retract,
+    "RAPID": _Executor._read_rapid,
+    "FEDRAT": _Executor._read_feed,
+    "UNITS": _Executor._read_units,
+    "UNIT": _Executor._read_units,
+    "CUTTER": _Executor._read_cutter,
+    "CSYS": _Executor._read_setup_axes,
+    "TRNTYP": _Executor._check_transformation,
+    "SETUP": _Executor._read_without_effect,
+    "MULTAX": _Executor._read_multiaxis,
+    "TLAXIS": _Executor._read_tool_axis,
+    "CIRCLE": _Executor._read_circle,
+    "MOVARC": _Executor._read_arc,
+    "INDIRV": _Executor._read_direction,
+    "CYCLE": _Executor._read_cycle,
+    "SPINDL": _Executor._read_spindle,
+    "COOLNT": _Executor._read_coolant,
+    "LOADTL": _Executor._read_tool,
+    "LOAD": _Executor._read_tool,
+    "DELAY": _Executor._read_delay,
+    "DWELL": _Executor._read_delay,
+    "STOP": _Executor._read_stop,
+    "OPSTOP": _Executor._read_stop,
+    "OPSKIP": _Executor._read_skip,
+    "AUXFUN": _Executor._read_auxiliary,
+    "CUTCOM": _Executor._read_compensation,
+    "MODE": _Executor._read_mode,
+    "MSYS": _Executor._read_coordinate_system,
+    "MCS": _Executor._read_section_axes,
+    "ZERO": _Executor._read_work_offset,
+    "END": _Executor._read_end,
+    "FINI": _Executor._read_end,
+    "REWIND": _Executor._read_without_effect,
 }
 
 
-def execute(statements: Statements, cell: Cell) -> Course:
+def execute(statements: Statements, cell: Cell) -> ExecutionResult:
     """Return the moves, events and faults of a file; with faults the moves are incomplete."""
-    return _Walk(statements, cell).run()
+    return _Executor(statements, cell).run()
