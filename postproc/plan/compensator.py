@@ -44,7 +44,7 @@ class CompensatorPlan(Struct, frozen=True, eq=False):
     :param robot: name of the model whose compensator is the prior.
     :param options: size of the plan.
     :param sigma: noise of one coordinate of one reading [m].
-    :param value: (3,) L, a_x, a_y of the prior [m].
+    :param lengths: (3,) L, a_x, a_y of the prior [m].
     :param q2: (m,) angles of A2, descending [rad].
     :param beta: (k,) angles of the markers around P0, from the line P0 → P1, positive as q2 [rad].
     :param turn: angle by which the compensator turns [rad].
@@ -55,7 +55,7 @@ class CompensatorPlan(Struct, frozen=True, eq=False):
     robot: str
     options: CompensatorOptions
     sigma: float
-    value: Array
+    lengths: Array
     q2: Array
     beta: Array
     turn: float
@@ -66,6 +66,9 @@ class CompensatorPlan(Struct, frozen=True, eq=False):
 def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOptions) -> CompensatorPlan:
     """Return the angles of A2 and the places of markers that determine L, a_x, a_y of the compensator best.
 
+    L is the distance from joint axis 2 to P1, where the spring is attached to link 2. a_x and a_y are the distances to
+    P0, about which the compensator swivels.
+
     :param sigma: noise of one coordinate of one reading [m].
     :raises PlanError: the robot has no compensator, or its A2 has no room for the angles.
     """
@@ -75,11 +78,10 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
             f"robot {robot.name} has no gravity compensator",
             advice="Give the robot in the experiment a [compensator] in its model.toml, with rough L, a_x, a_y.",
         )
-    value = np.array([law.L, law.ax, law.ay])
+    lengths = np.array([law.L, law.ax, law.ay])
     lower = (robot.lower[1] + options.margin) * DEG_PER_RAD
     upper = (robot.upper[1] - options.margin) * DEG_PER_RAD
-    # whole degrees
-    # 1e-9: a limit that is whole but for rounding counts
+    # whole degrees; 1e-9: a limit that is whole but for rounding counts
     grid = np.arange(np.ceil(lower - 1e-9), np.floor(upper + 1e-9) + 1.0)
     if len(grid) < 1 + _MIN_STEP * (options.angles - 1):
         raise PlanError(
@@ -88,25 +90,25 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
         )
     beta = geometry.even_angles(options.markers)
     even_angles = grid[np.round(np.linspace(0, len(grid) - 1, options.angles)).astype(np.int64)]
-    angles = _exchanged_angles(value, grid, even_angles, beta)
+    angles = _exchanged_angles(lengths, grid, even_angles, beta)
     q2 = np.sort(angles)[::-1] * RAD_PER_DEG
     return CompensatorPlan(
         robot=robot.name,
         options=options,
         sigma=sigma,
-        value=value,
+        lengths=lengths,
         q2=q2,
         beta=beta,
-        turn=float(np.ptp(geometry.spring_direction(value, q2))),
-        ci95=expected_intervals(value, q2, beta, sigma, options.repeats),
-        ci95_even=expected_intervals(value, even_angles * RAD_PER_DEG, beta, sigma, options.repeats),
+        turn=float(np.ptp(geometry.spring_direction(lengths, q2))),
+        ci95=expected_intervals(lengths, q2, beta, sigma, options.repeats),
+        ci95_even=expected_intervals(lengths, even_angles * RAD_PER_DEG, beta, sigma, options.repeats),
     )
 
 
-def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repeats: int) -> Array:
+def expected_intervals(lengths: Array, q2: Array, beta: Array, sigma: float, repeats: int) -> Array:
     """Return the expected half widths (3,) of the 95 % intervals of L, a_x, a_y [m], for markers at `_RADIUS` from P0.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param q2: (m,) angles of joint 2 [rad].
     :param beta: (k,) angles of the markers around P0 [rad].
     :param sigma: noise of one coordinate of one reading [m].
@@ -115,16 +117,16 @@ def expected_intervals(value: Array, q2: Array, beta: Array, sigma: float, repea
     m, k = len(q2), len(beta)
     # of the residuals of the circle fits, and of the scatter of repeats: P1 and k markers at m angles, 3 coordinates
     dof = geometry.degrees_of_freedom(m, k) + 3 * (repeats - 1) * m * (k + 1)
-    covariance = geometry.expected_covariance(value, q2, np.full(k, _RADIUS), beta, sigma**2 / repeats)
+    covariance = geometry.expected_covariance(lengths, q2, np.full(k, _RADIUS), beta, sigma**2 / repeats)
     return np.asarray(geometry.student_95(dof) * np.sqrt(np.diag(covariance)))
 
 
-def _exchanged_angles(value: Array, grid: Array, start: Array, beta: Array) -> Array:
+def _exchanged_angles(lengths: Array, grid: Array, start: Array, beta: Array) -> Array:
     """Return angles (m,) [deg] such that no exchange of a single angle makes the expected covariance smaller.
 
     Exchange algorithm of Fedorov (1972); the criterion is the trace of the covariance of L, a_x, a_y.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param grid: angles to choose from [deg], and `start` (m,) angles to begin with [deg].
     :param beta: (k,) angles of the markers around P0 [rad].
     """
@@ -133,7 +135,7 @@ def _exchanged_angles(value: Array, grid: Array, start: Array, beta: Array) -> A
     def cost(angles_deg: Array) -> float:
         """Return the trace of the expected covariance [m²] for angles (m,) [deg]."""
         # variance of a typical tracker [m²]: it scales the whole covariance but for the square of the bias
-        return float(np.trace(geometry.expected_covariance(value, angles_deg * RAD_PER_DEG, radius, beta, 1e-9)))
+        return float(np.trace(geometry.expected_covariance(lengths, angles_deg * RAD_PER_DEG, radius, beta, 1e-9)))
 
     lowest_cost, has_gain = cost(angles), True
     while has_gain:
@@ -176,7 +178,7 @@ def summary(plan: CompensatorPlan) -> dict[str, object]:
         ],
         **{
             key: {
-                "prior": float(plan.value[row]) * MM_PER_M,
+                "prior": float(plan.lengths[row]) * MM_PER_M,
                 "ci95": float(plan.ci95[row]) * MM_PER_M,
                 "ci95_even_angles": float(plan.ci95_even[row]) * MM_PER_M,
             }

@@ -59,7 +59,7 @@ class State(Columns, frozen=True, eq=False):
 def are_feasible(site: Site, q: Array, tilt: Array) -> Bools:
     """Return True for configurations q (N, 6) [rad] that can be measured under their loads: all constraints hold.
 
-    :param tilt: (N, 2) of the load [rad], see `State.of`.
+    :param tilt: (N, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
     """
     state = State.of(site, q, tilt)
     # 1e-9 rad: rounding
@@ -92,7 +92,7 @@ def failures(site: Site, q: Array, tilt: Array) -> dict[str, Bools]:
     """Return name of a constraint → True for configurations (N,) that it forbids, independently of other constraints.
 
     :param q: (N, 6) joint angles [rad].
-    :param tilt: (N, 2) of the load [rad], see `State.of`.
+    :param tilt: (N, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
     """
     state = State.of(site, q, tilt)
     is_forbidden = {"joint limits": ~within_limits(site, q)}

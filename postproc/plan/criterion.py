@@ -114,7 +114,7 @@ class MeasuredLoads(Struct, frozen=True, eq=False):
 
     :param q: (d, 6) joint angles of the states [rad].
     :param q2: (m,) levels of q2 [rad].
-    :param information: (d, p, p) information matrix of each state.
+    :param information: (d, p, p) information matrix of each state, on the p identified compliances.
     :param level: (d,) level of each state, an index into `q2`.
     """
 
@@ -148,7 +148,8 @@ def measured_information(data: Measurements, readings: Readings, sigma: float) -
 class Criterion(Struct, frozen=True, eq=False):
     """The criterion for given levels of q2. Its plans are arrays: information (n, p, p) and level (n,) of each pose.
 
-    The extended set of P compliances has p − 1 compliances that all levels share, then k2 of each of the m levels.
+    p is the number of joints whose compliance is identified, joint 2 among them. The extended set of P compliances has
+    the p − 1 compliances that all levels share, then k2 of each of the m levels.
 
     :param is_grouped: whether each level is identified alone, as the formula is printed; else the levels are pooled.
     :param weight: Σ w A₀ᵀA₀ of the test poses: pooled (P, P), grouped (p, p).
@@ -180,15 +181,16 @@ class Criterion(Struct, frozen=True, eq=False):
         :param grouped: second Eq. (10) of Klimchik et al. as printed: each level is identified alone; else pooled.
         :param earlier_data: readings that were already made; None: there are none.
         """
-        keep, levels = list(readings.keep), len(q2)  # joints of the p compliances, from 0
-        regressor = tests.regressor[:, :, keep] * readings.scale[keep]  # (T, 3, p)
-        size = len(keep)
+        joints, levels = list(readings.identified_joints), len(q2)  # of the p compliances, from 0
+        # (T, 3, p): displacement of the tool tip at each test pose by the compliances, in units of the robot's [m]
+        regressor = tests.regressor[:, :, joints] * readings.unit_compliance[joints]
+        size = len(joints)
         if grouped:
             extended_index = np.tile(np.arange(size), (levels, 1))
             earlier_matrix = np.zeros((levels, size, size))
         else:
             # extended set: compliances that all levels share, then k2 of each level
-            k2 = keep.index(1)  # column of joint 2
+            k2 = joints.index(1)  # column of joint 2
             shared = [index for index in range(size) if index != k2]
             level_slopes = joint2.level_derivatives(q2, tests.q[:, 1])
             extended_regressor = np.empty((len(regressor), 3, size - 1 + levels))
@@ -207,9 +209,9 @@ class Criterion(Struct, frozen=True, eq=False):
         return replace(criterion, earlier_matrix=matrix)
 
     def normal_matrix(self, information: Array, level: Ints) -> Array:
-        """Return the normal matrix of plan and earlier readings: pooled (P, P), grouped (m, p, p), see the class.
+        """Return the normal matrix of plan and earlier readings: pooled (P, P), grouped (m, p, p).
 
-        :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
+        :param information: (n, p, p) of the poses on the p identified compliances, and `level` (n,) their levels.
         """
         matrix = self.earlier_matrix.copy()
         if self.is_grouped:
@@ -222,12 +224,15 @@ class Criterion(Struct, frozen=True, eq=False):
     def value(self, information: Array, level: Ints) -> float:
         """Return the criterion of a plan [m²]; huge if a parameter is not determined.
 
-        :param information: (n, p, p) of the poses, and `level` (n,) number of their level.
+        :param information: (n, p, p) of the poses on the p identified compliances, and `level` (n,) their levels.
         """
         return float(self.matrix_values(self.normal_matrix(information, level)[None])[0])
 
     def matrix_values(self, matrices: Array) -> Array:
-        """Return the criterion (K,) [m²] of normal matrices (K, …): the trace of the weight times their inverses."""
+        """Return the criterion (K,) [m²] of normal matrices (K, …): the trace of the weight times their inverses.
+
+        Both are scaled so that the normal matrices have a diagonal of ones, for accurate inverses.
+        """
         # 1e-300 keeps zero out of the denominator
         scale = np.sqrt(np.maximum(np.diagonal(matrices, axis1=-2, axis2=-1), 1e-300))
         normal = matrices / (scale[..., :, None] * scale[..., None, :])
@@ -244,17 +249,19 @@ class Criterion(Struct, frozen=True, eq=False):
         :param level: number of the level of all these poses.
         """
         matrices = np.repeat(matrix[None], len(new), axis=0)
+        change = new - old  # information of poses adds up
         if self.is_grouped:
-            matrices[:, level] += new - old
+            matrices[:, level] += change
         else:
             rows = self.extended_index[level]
-            matrices[:, rows[:, None], rows[None]] += new - old
+            matrices[:, rows[:, None], rows[None]] += change
         return self.matrix_values(matrices)
 
     def information_slope(self, matrix: Array, level: Ints) -> Array:
         """Return ∂criterion/∂information (n, p, p) of poses at levels (n,): blocks of −N⁻¹ W N⁻¹.
 
-        :param matrix: normal matrix N of the plan; W is the weight.
+        :param matrix: normal matrix N of the plan; W is `weight`, the sum over the test poses.
+        :param level: number of the level of each pose, from 0.
         """
         inverse = np.linalg.inv(matrix)
         slope = -inverse @ self.weight @ inverse
@@ -275,19 +282,19 @@ class Accuracy(Struct, frozen=True, eq=False):
     :param interval: limits of the 95 % interval of the RMS error of one identification with this plan [m].
     :param poses: (T,) expected RMS error at each test pose [m].
     :param parameters: P parameters of the identification.
-    :param relative: (P,) half widths of the 95 % intervals of the parameters, over the robot's values.
+    :param relative_half_widths: (P,) of the 95 % intervals of the parameters, over the robot's values.
     """
 
     rms: float
     interval: tuple[float, float]
     poses: Array
     parameters: tuple[Parameter, ...]
-    relative: Array
+    relative_half_widths: Array
 
     @property
     def uncertain(self) -> tuple[Parameter, ...]:
         """Parameters that the identification would not take from such measurements: their intervals are too wide."""
-        pairs = zip(self.parameters, self.relative, strict=True)
+        pairs = zip(self.parameters, self.relative_half_widths, strict=True)
         # written with "not", so that NaN counts as too wide
         return tuple(parameter for parameter, half_width in pairs if not half_width <= UNCERTAIN_SHARE)
 
@@ -304,15 +311,18 @@ def expected_accuracy(
 
     :param tests: poses at which errors count.
     :param readings: with the joints whose compliances are identified.
-    :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p).
+    :param joint2: gear and compensator of joint 2.
+    :param q: (n, 6) poses of the plan [rad], with `information` (n, p, p) on the p compliances that are identified.
     :param earlier_data: readings that were already made, which count too; None: there are none.
     """
-    keep = list(readings.keep)
+    joints = list(readings.identified_joints)
     if earlier_data is not None:
         q, information = np.vstack([q, earlier_data.q]), np.concatenate([information, earlier_data.information])
-    slopes = _compliance_slopes(joint2, keep, q)
+    slopes = _compliances_by_parameters(joint2, joints, q)
     normal = np.einsum("nia,nij,njb->ab", slopes, information, slopes)
-    regressor = (tests.regressor[:, :, keep] * readings.scale[keep]) @ _compliance_slopes(joint2, keep, tests.q)
+    # (T, 3, P): displacement of the tool tip at each test pose by the parameters [m]
+    tip_by_compliances = tests.regressor[:, :, joints] * readings.unit_compliance[joints]
+    regressor = tip_by_compliances @ _compliances_by_parameters(joint2, joints, tests.q)
     covariance = _inverse(normal)
     variance = np.einsum("tka,ab,tkb->t", regressor, covariance, regressor)
     moment = np.einsum("t,tka,tkb->ab", tests.weight, regressor, regressor)
@@ -327,14 +337,14 @@ def expected_accuracy(
         interval=(lower, upper),
         poses=np.sqrt(variance),
         parameters=(
-            *(JOINT_COMPLIANCES[index] for index in keep),
+            *(JOINT_COMPLIANCES[joint] for joint in joints),
             *(COMPENSATOR if joint2.has_free_compensator else ()),
         ),
-        relative=NORMAL_95 * np.sqrt(np.diag(covariance)) / _relative_values(joint2, len(keep)),
+        relative_half_widths=NORMAL_95 * np.sqrt(np.diag(covariance)) / _robot_values(joint2, len(joints)),
     )
 
 
-def _relative_values(joint2: Joint2, count: int) -> Array:
+def _robot_values(joint2: Joint2, count: int) -> Array:
     """Return the robot's values (P,) of the parameters in the units of the plan.
 
     Compliances are relative to the robot's own, so that their values are 1. If the compensator is free, K_c and s₀K_c
@@ -364,14 +374,15 @@ def unidentifiable_joints(information: Array, count: int) -> tuple[int, ...]:
     return tuple(int(joint) for joint in np.flatnonzero(best_information * count < least_information))
 
 
-def _compliance_slopes(joint2: Joint2, keep: list[int], q: Array) -> Array:
+def _compliances_by_parameters(joint2: Joint2, joints: list[int], q: Array) -> Array:
     """Return the derivatives (n, p, P) of p compliances at configurations q (n, 6) [rad] by the P parameters.
 
     Parameters are the compliances, for joint 2 the compliance of its gear; then K_c and s₀K_c, if they are free.
 
-    :param keep: joints of the p compliances, from 0; joint 2 is among them.
+    :param joint2: gear and compensator of joint 2.
+    :param joints: joints of the p compliances, from 0; joint 2 is among them.
     """
-    size, row = len(keep), keep.index(1)
+    size, row = len(joints), joints.index(1)
     by_joint2 = joint2.parameter_derivatives(q[:, 1])
     slopes = np.zeros((len(q), size, size + by_joint2.shape[1] - 1))
     slopes[:, range(size), range(size)] = 1.0
@@ -412,27 +423,27 @@ _LEAST_TORQUE_SHARE, _MOST_TORQUE_SHARE = 0.1, 0.5
 class Directions(Struct, frozen=True, eq=False):
     """Demand on a plan: poses that must load each joint in each direction (column 0 negative, 1 positive).
 
-    :param need: (6, 2) number of poses in addition to earlier readings; 0 for directions that the rig cannot load.
-    :param least: (6, 2) torque from which on a pose counts [N·m].
-    :param reached: (6, 2) typical largest torque of feasible poses [N·m]; 0 if too few poses have such a torque.
-    :param work: (6, 2) typical largest torque of the work [N·m].
+    :param pose_count: (6, 2) required poses in addition to earlier readings; 0 for directions that the rig cannot load.
+    :param min_torque: (6, 2) torque from which on a pose counts [N·m].
+    :param rig_torque: (6, 2) typical largest torque of feasible poses [N·m]; 0 if too few poses have such a torque.
+    :param work_torque: (6, 2) typical largest torque of the work [N·m].
     """
 
-    need: Ints
-    least: Array
-    reached: Array
-    work: Array
+    pose_count: Ints
+    min_torque: Array
+    rig_torque: Array
+    work_torque: Array
 
     def loaded_sides(self, torque: Array) -> Bools:
         """Return True for directions (..., 6, 2) in which torques (..., 6) [N·m] load the joints enough to count."""
-        return np.asarray(split_signs(torque) >= self.least)
+        return np.asarray(split_signs(torque) >= self.min_torque)
 
     def missing_count(self, count: Ints) -> Ints:
         """Return the number (...) of poses that are missing, summed over joints and directions.
 
         :param count: (..., 6, 2) number of poses that load each joint in each direction.
         """
-        return np.asarray(np.maximum(self.need - count, 0).sum(axis=(-2, -1)))
+        return np.asarray(np.maximum(self.pose_count - count, 0).sum(axis=(-2, -1)))
 
 
 def required_directions(torque: Array, tests: TestPoses, poses: int, data_torque: Array | None = None) -> Directions:
@@ -448,13 +459,18 @@ def required_directions(torque: Array, tests: TestPoses, poses: int, data_torque
     """
     sides = split_signs(torque)
     rig_torque = _typical_torques(sides, np.full(len(torque), 1.0 / max(len(torque), 1)))
-    work = _typical_torques(split_signs(tests.torque), tests.weight)
-    threshold = np.clip(work, _LEAST_TORQUE_SHARE * rig_torque, _MOST_TORQUE_SHARE * rig_torque)
+    work_torque = _typical_torques(split_signs(tests.torque), tests.weight)
+    threshold = np.clip(work_torque, _LEAST_TORQUE_SHARE * rig_torque, _MOST_TORQUE_SHARE * rig_torque)
     earlier_torque = np.zeros((0, 6)) if data_torque is None else data_torque
-    need = np.where(rig_torque > 0.0, min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _POSES_PER_DIRECTION), 0)
-    demand = Directions(need, np.maximum(threshold, LEAST_TORQUE), rig_torque, work)
-    remaining_need = np.maximum(need - demand.loaded_sides(earlier_torque).sum(axis=0), 0)
-    return replace(demand, need=remaining_need)
+    sufficient_count = min(MIN_CONFIGURATIONS, (poses + len(earlier_torque)) // _POSES_PER_DIRECTION)
+    demand = Directions(
+        pose_count=np.where(rig_torque > 0.0, sufficient_count, 0),
+        min_torque=np.maximum(threshold, LEAST_TORQUE),
+        rig_torque=rig_torque,
+        work_torque=work_torque,
+    )
+    remaining_count = np.maximum(demand.pose_count - demand.loaded_sides(earlier_torque).sum(axis=0), 0)
+    return replace(demand, pose_count=remaining_count)
 
 
 def _typical_torques(sides: Array, weight: Array) -> Array:
@@ -482,9 +498,13 @@ def unreachable_direction_warnings(demand: Directions, vertical: bool) -> tuple[
     """
     parts = []
     for joint, name in enumerate(JOINTS):
-        sides = [side for side in range(len(SIGNS)) if demand.reached[joint, side] == 0.0]  # that the rig cannot load
+        sides = [
+            side for side in range(len(SIGNS)) if demand.rig_torque[joint, side] == 0.0
+        ]  # that the rig cannot load
         work_torques = [
-            f"{demand.work[joint, side]:.0f} N·m {SIGNS[side]}" for side in sides if demand.work[joint, side] > 0.0
+            f"{demand.work_torque[joint, side]:.0f} N·m {SIGNS[side]}"
+            for side in sides
+            if demand.work_torque[joint, side] > 0.0
         ]
         if sides:
             note = f"; the work has up to {' and '.join(work_torques)}" if work_torques else ""

@@ -82,7 +82,7 @@ def poses_under_load(
     :param q: (T, 6) joint angles [rad].
     :param tool: (4, 4) or (T, 4, 4) tool tip in the flange frame [m].
     :param wrench: (T, 6) on the tool tip, root axes [N, N·m].
-    :param weight: (T,) of the poses, of any sum.
+    :param weight: (T,) of the poses, of any sum; they are normalised.
     :param source: names of the files of the poses.
     :param is_law_force: (T,) whether a cutting law computes the wrench; None: no wrench is computed.
     """
@@ -117,9 +117,9 @@ def from_program(program: Program, robot: RobotModel, cell: Cell, source: ForceS
         raise PlanError(cause.issue.message.rstrip("."), file=name, line=cause.issue.source_line) from None
     motion, distance = path.sample.motion, path.sample.distance
     # length of path from the sample before to each sample: distances begin anew with each motion
-    last_distance = np.concatenate([[0.0], distance[:-1]])
+    previous_distance = np.concatenate([[0.0], distance[:-1]])
     is_first_of_motion = np.concatenate([[True], np.diff(motion) != 0])
-    length = np.where(is_first_of_motion, distance, distance - last_distance)
+    length = np.where(is_first_of_motion, distance, distance - previous_distance)
     wrench = path.wrench_in_root(np.arange(len(path)))
     cutting = np.flatnonzero(~m.rapid[motion] & (length > 0.0) & (np.abs(wrench).max(axis=1) > 0.0))
     if len(cutting) == 0:
@@ -143,9 +143,9 @@ def _thin_rows(rows: Ints, length: Array) -> tuple[Ints, Array]:
 
     :param rows: (n,) sampled rows, and `length` (n,) of the path from the row before to each row [m].
     """
-    step = -(-len(rows) // _MAX_SAMPLES)  # rows of a piece: a quotient, rounded up
-    begin = np.arange(0, len(rows), step)
-    return rows[np.minimum(begin + step // 2, len(rows) - 1)], np.add.reduceat(length, begin)
+    piece_size = -(-len(rows) // _MAX_SAMPLES)  # a quotient, rounded up
+    begin = np.arange(0, len(rows), piece_size)
+    return rows[np.minimum(begin + piece_size // 2, len(rows) - 1)], np.add.reduceat(length, begin)
 
 
 def from_file(path: Path, robot: RobotModel, cell: Cell) -> TestPoses:
@@ -184,21 +184,23 @@ def join(parts: Sequence[TestPoses]) -> TestPoses:
     )
 
 
-def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> TestPoses:
+def representatives(tests: TestPoses, robot_compliance: Array, count: int, seed: int) -> TestPoses:
     """Return at most `count` poses that represent all poses, with weights.
 
     Poses are clustered (k-means, Lloyd 1982) by the inputs of the criterion: A₀ᵀA₀, with the regressor A₀ in units of
     the compliances, and q2. The pose nearest to the mean of a cluster represents it, with the weight of the cluster.
     Then all forces are scaled so that Σ w A₀ᵀA₀ keeps its trace. With `count` poses or fewer nothing changes.
 
-    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param robot_compliance: (6,) compliances of the robot [rad/(N·m)].
     :param seed: of the random choice of the first cluster centres.
     """
     if len(tests) <= count:
         return tests
-    rows, weight = _cluster(_features(tests, scale), tests.weight, count, seed)
+    rows, weight = _cluster(_features(tests, robot_compliance), tests.weight, count, seed)
     sample = replace(tests.take(rows), weight=weight)
-    full_trace, sample_trace = (np.trace(poses.second_moment * np.outer(scale, scale)) for poses in (tests, sample))
+    full_trace, sample_trace = (
+        np.trace(poses.second_moment * np.outer(robot_compliance, robot_compliance)) for poses in (tests, sample)
+    )
     factor = np.sqrt(full_trace / sample_trace) if sample_trace > 0.0 else 1.0
     return TestPoses(
         q=sample.q,
@@ -212,12 +214,12 @@ def representatives(tests: TestPoses, scale: Array, count: int, seed: int) -> Te
     )
 
 
-def _features(tests: TestPoses, scale: Array) -> Array:
+def _features(tests: TestPoses, robot_compliance: Array) -> Array:
     """Return the features (T, 22) of T test poses for clustering: the 21 different entries of A₀ᵀA₀, and q2.
 
-    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param robot_compliance: (6,) compliances of the robot [rad/(N·m)].
     """
-    regressor = tests.regressor * scale
+    regressor = tests.regressor * robot_compliance
     square = np.einsum("tki,tkj->tij", regressor, regressor)
     row, column = np.triu_indices(6)
     # an entry off the diagonal counts twice, so that distances of features are distances of the matrices
@@ -234,6 +236,7 @@ def _cluster(features: Array, weight: Array, count: int, seed: int) -> tuple[Int
     :returns: for each of C clusters the row of the point nearest to its mean (C,), and its weight (C,).
     """
     rng = np.random.default_rng(seed)
+    # k-means++: each further centre is drawn with a chance in proportion to its squared distance from the others
     centres = features[[int(rng.choice(len(features), p=weight))]]
     for _ in range(count - 1):
         distance = _squared_distances(features, centres).min(axis=1) * weight

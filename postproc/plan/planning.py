@@ -91,11 +91,11 @@ def unchecked_warnings(site: Site) -> list[str]:
 
 
 def hidden_compliance_warnings(
-    site: Site, tests: TestPoses, scale: Array, hidden_joints: tuple[int, ...]
+    site: Site, tests: TestPoses, robot_compliance: Array, hidden_joints: tuple[int, ...]
 ) -> tuple[str, ...]:
     """Return warnings on compliances that the rig does not excite, with reason, remedy and part of the deflection.
 
-    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param robot_compliance: (6,) compliances of the robot [rad/(N·m)].
     :param hidden_joints: joints, from 0, whose compliance neither rig nor earlier readings show.
     :raises PlanError: A2 is among them: the load is too small for any plan.
     """
@@ -107,7 +107,7 @@ def hidden_compliance_warnings(
     warnings = []
     for joint in hidden_joints:
         square = np.sum(tests.regressor[:, :, joint] ** 2, axis=1)
-        share = float(np.sqrt(tests.weight @ square)) * scale[joint] * MM_PER_M
+        share = float(np.sqrt(tests.weight @ square)) * robot_compliance[joint] * MM_PER_M
         reason, advice = "the load puts too little torque on it", "Use a heavier weight."
         if joint == 0 and site.rig.largest_tilt < VERTICAL_TILT:
             reason = "every load it can apply hangs vertically, parallel to the axis of A1"
@@ -262,20 +262,20 @@ def _shorter_tour(tour: list[int], cost: Array) -> list[int] | None:
     return None
 
 
-def via_poses(site: Site, q: Array, hit: Ints) -> tuple[tuple[Array, ...], Ints]:
+def via_poses(site: Site, q: Array, hit_rows: Ints) -> tuple[tuple[Array, ...], Ints]:
     """Return via configurations (k, 6) [rad] before each pose of a sequence, and the rows of poses without a free path.
 
     A blocked move goes through the start position. If that is blocked too, the arm takes the shape of the start
     position, or the folded shape, with A1 of the second pose, of the first pose, or of the first and then the second.
 
     :param q: (n, 6) the poses in order [rad]; the robot begins at the start of the site.
-    :param hit: rows whose direct move is blocked.
+    :param hit_rows: rows of poses whose direct move from the pose before would hit something.
     """
     start = site.start
     via_poses = [np.zeros((0, 6)) for _ in q]
     blocked_rows = []
-    shapes = [start, folded_pose(site)] if len(hit) else []
-    for row in hit:
+    shapes = [start, folded_pose(site)] if len(hit_rows) else []  # joint angles (6,) of which A1 is replaced
+    for row in hit_rows:
         origin, goal = start if row == 0 else q[row - 1], q[row]
         candidates = [start[None]]
         for shape in shapes:
@@ -339,7 +339,8 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param robot: name of the model.
     :param site: place of the measurement.
     :param tests: the test poses.
-    :param represented: relative error of Σ w A₀ᵀA₀ of the test poses against all cutting samples.
+    :param represented: relative error of the matrix Σ w A₀ᵀA₀, by which poses count in the criterion, of the test poses
+        against all cutting samples.
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
     :param second_load: ratio of the second load to the first, in the same direction; `accuracy` counts the first alone.
@@ -396,7 +397,7 @@ Progress = Callable[[str, float, float], None]
 class _Problem(Struct, frozen=True, eq=False):
     """The search task and its inputs.
 
-    :param task: of choosing the poses.
+    :param task: choice of the poses.
     :param readings: geometry, load and noise of the measurement.
     :param joint2: model of joint 2, with a free compensator or not.
     :param earlier_data: readings that were already made; None: there are none.
@@ -430,32 +431,34 @@ def plan_measurements(
     if data is None:
         _check_level_count(options)
     report = progress or (lambda *_: None)
-    scale = site.robot.compliance[list(site.robot.actuated)]
-    sample = representatives(tests, scale, options.test_poses, options.seed)
+    robot_compliance = site.robot.compliance[list(site.robot.actuated)]
+    test_sample = representatives(tests, robot_compliance, options.test_poses, options.seed)
     report("drawing poses that can be measured", 0.0, np.nan)
-    problem = _planning_problem(site, sample, scale, options, data)
+    problem = _planning_problem(site, test_sample, robot_compliance, options, data)
     plan, is_interrupted = _search(problem.task, options, report)
     ordered_plan = _order_plan(problem, plan)
     comparison = _OtherPlans(np.zeros(0), None, (), is_interrupted)
     if options.comparisons and not is_interrupted:
         comparison = _comparison_plans(problem.task, options, ordered_plan.plan, report)
-    accuracy = _accuracy(problem, sample, ordered_plan.plan.q, ordered_plan.force)
+    accuracy = _accuracy(problem, test_sample, ordered_plan.plan.q, ordered_plan.force)
     initial_accuracy = None
     if problem.earlier_data is not None:  # of a plan without poses
-        initial_accuracy = _accuracy(problem, sample, np.zeros((0, 6)), np.zeros((0, 3)))
+        initial_accuracy = _accuracy(problem, test_sample, np.zeros((0, 6)), np.zeros((0, 3)))
     return PlanResult(
         options=options,
         robot=site.robot.name,
         site=site,
-        tests=sample,
-        represented=_moment_error(tests, sample, scale),
+        tests=test_sample,
+        represented=_moment_error(tests, test_sample, robot_compliance),
         plan=ordered_plan.plan,
         force=ordered_plan.force,
         second_load=second_load(site, tests),
         torque=problem.readings.torque(ordered_plan.plan.q, ordered_plan.force),
         directions=problem.task.directions,
         accuracy=accuracy,
-        unobservable=tuple(c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.keep),
+        unobservable=tuple(
+            c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.identified_joints
+        ),
         before=initial_accuracy,
         random=comparison.random,
         serial=comparison.serial,
@@ -481,12 +484,16 @@ def _check_level_count(options: Options) -> None:
         )
 
 
-def _moment_error(tests: TestPoses, sample: TestPoses, scale: Array) -> float:
+def _moment_error(tests: TestPoses, sample: TestPoses, robot_compliance: Array) -> float:
     """Return the largest difference of Σ w A₀ᵀA₀ between all test poses and a sample, relative to the largest entry.
 
-    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    The criterion depends on the test poses by this matrix: weights w, regressor A₀ of the tool tip by the compliances.
+
+    :param robot_compliance: (6,) compliances of the robot [rad/(N·m)].
     """
-    full_moment, sample_moment = (poses.second_moment * np.outer(scale, scale) for poses in (tests, sample))
+    full_moment, sample_moment = (
+        poses.second_moment * np.outer(robot_compliance, robot_compliance) for poses in (tests, sample)
+    )
     return float(np.abs(full_moment - sample_moment).max() / np.abs(full_moment).max())
 
 
@@ -536,18 +543,18 @@ def _comparison_plans(task: Task, options: Options, plan: Plan, report: Progress
 
 
 def _planning_problem(
-    site: Site, tests: TestPoses, scale: Array, options: Options, data: Measurements | None
+    site: Site, tests: TestPoses, robot_compliance: Array, options: Options, data: Measurements | None
 ) -> _Problem:
     """Return the search task, with candidates, compliances that the load excites, and demanded directions of torques.
 
-    :param scale: (6,) compliances of the robot [rad/(N·m)].
+    :param robot_compliance: (6,) compliances of the robot [rad/(N·m)].
     :param data: earlier readings; None: there are none.
     :raises PlanError: too few levels of q2 can be measured, or too few readings are planned.
     """
-    pool = _candidate_pool(site, scale, options, data)
+    pool = _candidate_pool(site, robot_compliance, options, data)
     readings, earlier_data = pool.readings, pool.earlier_data
-    hidden_joints = tuple(joint for joint in range(len(JOINT_COMPLIANCES)) if joint not in readings.keep)
-    hidden_warnings = hidden_compliance_warnings(site, tests, scale, hidden_joints)
+    hidden_joints = tuple(joint for joint in range(len(JOINT_COMPLIANCES)) if joint not in readings.identified_joints)
+    hidden_warnings = hidden_compliance_warnings(site, tests, robot_compliance, hidden_joints)
     _check_reading_count(options, readings, len(site.points), pool.levels, earlier_data)
     torque = pool.candidates.torque.reshape(-1, 6)
     has_pose = torque.any(axis=1)
@@ -592,7 +599,7 @@ class _CandidatePool(NamedTuple):
     fixed_levels: int
 
 
-def _candidate_pool(site: Site, scale: Array, options: Options, data: Measurements | None) -> _CandidatePool:
+def _candidate_pool(site: Site, robot_compliance: Array, options: Options, data: Measurements | None) -> _CandidatePool:
     """Return the poses to choose from, and the compliances that they show; parameters: see `_planning_problem`.
 
     :raises PlanError: too few levels of q2 can be measured.
@@ -605,7 +612,7 @@ def _candidate_pool(site: Site, scale: Array, options: Options, data: Measuremen
         points=site.points,
         force=site.rig.force,
         noise=noise,
-        scale=scale,
+        unit_compliance=robot_compliance,
     )
     earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     fixed_levels = 0 if earlier_data is None else len(earlier_data.q2)
@@ -619,8 +626,8 @@ def _candidate_pool(site: Site, scale: Array, options: Options, data: Measuremen
         )
     hidden_joints = _hidden_joints(candidates, options.configurations, earlier_data)
     if hidden_joints:
-        keep = tuple(joint for joint in range(6) if joint not in hidden_joints)
-        readings, candidates = replace(readings, keep=keep), candidates.take_parameters(keep)
+        joints = tuple(joint for joint in range(6) if joint not in hidden_joints)
+        readings, candidates = replace(readings, identified_joints=joints), candidates.take_parameters(joints)
         earlier_data = None if data is None else measured_information(data, readings, site.sigma)
     return _CandidatePool(candidates, readings, earlier_data, levels, fixed_levels)
 
@@ -709,11 +716,11 @@ def _order_plan(problem: _Problem, plan: Plan) -> _OrderedPlan:
     site = problem.task.site
     q2 = np.round(plan.q2 * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
     q = np.round(plan.q * DEG_PER_RAD, _ANGLE_DECIMALS) * RAD_PER_DEG
-    sequence, seconds, hit = least_travel(site, q)
-    q, tilt, level = q[sequence], plan.tilt[sequence], plan.level[sequence]
+    order, seconds, hit_rows = least_travel(site, q)
+    q, tilt, level = q[order], plan.tilt[order], plan.level[order]
     force = without_negative_zero(np.round(site.rig.force * direction(tilt), _FORCE_DECIMALS))
     value = problem.task.criterion_at(q2).value(problem.readings.information_of(q, force), level)
-    via, blocked_rows = via_poses(site, q, hit)
+    via, blocked_rows = via_poses(site, q, hit_rows)
     return _OrderedPlan(Plan(q, tilt, level, q2, value), force, seconds, via, blocked_rows)
 
 
@@ -754,7 +761,7 @@ def _check_reading_count(
     """
     if earlier_data is not None:
         return
-    unknowns = len(readings.keep) if options.grouped else len(readings.keep) - 1 + levels
+    unknowns = len(readings.identified_joints) if options.grouped else len(readings.identified_joints) - 1 + levels
     poses = options.configurations // levels if options.grouped else options.configurations
     if 3 * points * poses < unknowns:
         raise PlanError(

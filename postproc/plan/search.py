@@ -46,8 +46,8 @@ class Candidates(Struct, frozen=True, eq=False):
 
     :param q2: (L,) levels [rad].
     :param q: (L, C, 6) joint angles [rad].
-    :param tilt: (L, C, 2) of the load [rad], see `sensitivity.direction`.
-    :param information: (L, C, p, p) on p compliances; 0 for levels without poses.
+    :param tilt: (L, C, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
+    :param information: (L, C, p, p) on the p identified compliances; 0 for levels without poses.
     :param torque: (L, C, 6) of the load on the joints [N·m]; 0 for levels without poses.
     """
 
@@ -57,9 +57,9 @@ class Candidates(Struct, frozen=True, eq=False):
     information: Array
     torque: Array
 
-    def take_parameters(self, keep: tuple[int, ...]) -> Candidates:
-        """Return the candidates with the information on some compliances only; `keep` (p,): joints, from 0."""
-        return replace(self, information=self.information[:, :, keep][:, :, :, keep])
+    def take_parameters(self, joints: tuple[int, ...]) -> Candidates:
+        """Return the candidates with the information on the compliances of some joints only, (p,) from 0."""
+        return replace(self, information=self.information[:, :, joints][:, :, :, joints])
 
     def __len__(self) -> int:
         return len(self.q2)
@@ -69,7 +69,8 @@ def draw_poses(site: Site, count: int, rng: np.random.Generator, q2: float | Non
     """Return random configurations, feasible or not.
 
     :param q2: level of q2 [rad]; None: at random too.
-    :returns: (count, 6) joint angles within ±180° and the limits [rad]; (count, 2) tilts of the load [rad].
+    :returns: (count, 6) joint angles within ±180° and the limits [rad]; (count, 2) tilts of the load [rad]: along its
+        horizontal part, as long as its angle from straight down.
     """
     lower, upper = np.maximum(site.lower, -np.pi), np.minimum(site.upper, np.pi)
     q = rng.uniform(lower, upper, (count, 6))
@@ -107,7 +108,7 @@ def draw_candidates(
 
     Levels of the grid with few feasible poses are left out.
 
-    :param readings: with all six compliances.
+    :param readings: sensitivity of measurements to all six compliances.
     :param fixed_levels: (m,) levels of earlier readings [rad], which come first; None: there are none.
     :raises PlanError: no pose can be measured; the message names the constraints that block.
     """
@@ -218,7 +219,7 @@ class Plan(Struct, frozen=True, eq=False):
     """n poses with their loads.
 
     :param q: (n, 6) joint angles [rad]; q[:, 1] equals q2[level].
-    :param tilt: (n, 2) of the load [rad].
+    :param tilt: (n, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
     :param level: (n,) level of each pose, an index into `q2`.
     :param q2: (m,) levels [rad].
     :param value: criterion [m²].
@@ -257,7 +258,7 @@ class Task(Struct, frozen=True, eq=False):
     fixed: int = 0
 
     def loaded_sides(self, q: Array, tilt: Array) -> Bools:
-        """Return True for directions (N, 6, 2), negative and positive of each joint, that poses load enough to count.
+        """Return True for the sides (N, 6, 2), negative and positive of each joint, that poses load enough to count.
 
         :param q: (N, 6) joint angles, and `tilt` (N, 2) of the load [rad].
         """
@@ -319,7 +320,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
     candidates = task.candidates
     row = first_levels(task, rng, spread)
     level = task.pose_levels(rng)
-    pick = rng.integers(0, candidates.q.shape[1], task.count)
+    pick = rng.integers(0, candidates.q.shape[1], task.count)  # of the candidates of the level of each pose
     criterion = task.criterion_at(candidates.q2[row])
     value = criterion.value(candidates.information[row[level], pick], level)
     best = _Choice(row, level, pick, criterion, value)
@@ -371,8 +372,8 @@ def _is_distant(levels: Array, q2: float) -> bool:
 def _load_both_signs(task: Task, choice: _Choice) -> _Choice:
     """Return the choice with poses exchanged within their levels until each joint is loaded in both directions.
 
-    Each time the exchange with the smallest criterion is made, of exchanges that reduce the number of missing poses.
-    If there is none, the demand is met as far as possible.
+    Each time the exchange with the smallest criterion is made, of exchanges that reduce the number of missing poses:
+    those that the demand on directions still requires. If there is none, the demand is met as far as possible.
     """
     information = task.candidates.information[choice.row]  # (m, C, p, p)
     level, pick, demand = choice.level, choice.pick.copy(), task.directions
@@ -501,11 +502,11 @@ def _move_poses(task: Task, plan: Plan, rng: np.random.Generator, scale: float) 
         values = criterion.exchange_values(matrix, information[pose], new_information, int(plan.level[pose]))
         count = sides.sum(axis=0)
         is_worse = demand.missing_count(count - sides[pose] + new_sides) > demand.missing_count(count)
-        order = np.argsort(values, kind="stable")  # the best first
-        order = order[(values[order] < value * (1.0 - _LEAST_RELATIVE_GAIN)) & ~is_worse[order]]
-        is_feasible = constraints.are_feasible(task.site, new_q[order], new_tilt[order])
+        rows = np.argsort(values, kind="stable")  # the best proposal first
+        rows = rows[(values[rows] < value * (1.0 - _LEAST_RELATIVE_GAIN)) & ~is_worse[rows]]
+        is_feasible = constraints.are_feasible(task.site, new_q[rows], new_tilt[rows])
         if is_feasible.any():
-            best = order[np.argmax(is_feasible)]  # the first feasible pose of the order
+            best = rows[np.argmax(is_feasible)]  # the best feasible proposal
             q[pose], tilt[pose], value = new_q[best], new_tilt[best], values[best]
             information[pose], sides[pose] = new_information[best], new_sides[best]
     return replace(plan, q=q, tilt=tilt, value=float(value))

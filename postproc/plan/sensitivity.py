@@ -61,14 +61,14 @@ class ArmPoses(Columns, frozen=True, eq=False):
         return np.asarray(np.cross(self.axis[:, None], point[:, :, None] - self.origin[:, None]))
 
 
-_SMALLER_INDEX = np.minimum.outer(np.arange(6), np.arange(6))
-_LARGER_INDEX = np.maximum.outer(np.arange(6), np.arange(6))
-"""The joint of a pair that is nearer to the base, and the one that is nearer to the tool: axes move with joints
-before them."""
+_JOINT_NEARER_TO_BASE = np.minimum.outer(np.arange(6), np.arange(6))
+_JOINT_NEARER_TO_TOOL = np.maximum.outer(np.arange(6), np.arange(6))
+"""(6, 6) for each pair of joints the index of the one that is nearer to the base, and to the tool: axes move with
+joints before them."""
 
 
 def direction(tilt: Array) -> Array:
-    """Return unit directions (N, 3) of the load in root axes.
+    """Return unit directions (N, 3) of the load in root axes; straight down for a tilt of zero.
 
     :param tilt: (N, 2) vectors along the horizontal part of the load, as long as its angle from straight down [rad].
     """
@@ -104,8 +104,8 @@ class Readings(Struct, frozen=True, eq=False):
     :param points: (P, 3) reference points in the flange frame [m].
     :param force: size of the load [N].
     :param noise: standard deviation of one coordinate of a measured displacement [m].
-    :param scale: (6,) unit of each compliance [rad/(N·m)]: the value of the robot, so that results are relative.
-    :param keep: (p,) joints, from 0, whose compliance is identified.
+    :param unit_compliance: (6,) unit of each compliance [rad/(N·m)]: the robot's value, so that results are relative.
+    :param identified_joints: (p,) joints, from 0, whose compliance is identified.
     """
 
     arm: Arm
@@ -113,8 +113,8 @@ class Readings(Struct, frozen=True, eq=False):
     points: Array
     force: float
     noise: float
-    scale: Array
-    keep: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
+    unit_compliance: Array
+    identified_joints: tuple[int, ...] = (0, 1, 2, 3, 4, 5)
 
     def regressor(self, q: Array, load: Array) -> Array:
         """Return the whitened derivatives (N, 3P, 6) of the displacements of the points by the relative compliances.
@@ -129,7 +129,7 @@ class Readings(Struct, frozen=True, eq=False):
         torque = np.einsum("nij,nj->ni", at_load, load[:, :3])
         if load.shape[1] == 6:
             torque += np.einsum("nij,nj->ni", arm_pose.axis, load[:, 3:])
-        torque *= self.scale / self.noise
+        torque *= self.unit_compliance / self.noise  # displacements over their noise, per unit of compliance
         velocity = arm_pose.velocity(arm_pose.point(self.points)) * torque[:, None, :, None]
         return np.ascontiguousarray(np.swapaxes(velocity, 2, 3)).reshape(len(q), 3 * len(self.points), 6)
 
@@ -143,18 +143,20 @@ class Readings(Struct, frozen=True, eq=False):
         return np.asarray(np.einsum("nij,nj->ni", at_load, load))
 
     def information(self, q: Array, tilt: Array) -> Array:
-        """Return the information matrix (N, p, p) of each measurement at joint angles q (N, 6) [rad].
+        """Return the information matrix (N, p, p) of each measurement, on the p identified compliances.
 
-        :param tilt: (N, 2) of the load [rad], see `direction`.
+        :param q: (N, 6) joint angles [rad].
+        :param tilt: (N, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
         """
         return self.information_of(q, self.force * direction(tilt))
 
     def information_of(self, q: Array, load: Array) -> Array:
-        """Return the information matrix (N, p, p) of each measurement at joint angles q (N, 6) [rad].
+        """Return the information matrix (N, p, p) of each measurement, on the p identified compliances.
 
-        :param load: (N, 3 or 6), see `regressor`.
+        :param q: (N, 6) joint angles [rad].
+        :param load: (N, 3) forces [N], or (N, 6) with moments [N·m], at the load point, root axes.
         """
-        regressor = self.regressor(q, load)[:, :, list(self.keep)]
+        regressor = self.regressor(q, load)[:, :, list(self.identified_joints)]
         return np.asarray(np.swapaxes(regressor, 1, 2) @ regressor)
 
     def slope(self, q: Array, tilt: Array, weight: Array) -> Array:
@@ -164,23 +166,25 @@ class Readings(Struct, frozen=True, eq=False):
         with the joint angles. For revolute joints ∂v_i/∂q_a = ω_min(a,i) × v_max(a,i).
 
         :param q: (N, 6) joint angles, and `tilt` (N, 2) of the load [rad].
-        :param weight: (N, p, p) symmetric.
+        :param weight: (N, p, p) symmetric, on the p identified compliances.
         """
-        keep = list(self.keep)
+        joints = list(self.identified_joints)
         arm_pose = self.arm.pose(q)
         load = self.force * direction(tilt)
-        factor = self.scale / self.noise
+        factor = self.unit_compliance / self.noise
         at_load = arm_pose.velocity(arm_pose.point(self.load_point[None]))[:, 0]
         velocity = arm_pose.velocity(arm_pose.point(self.points))
         torque = np.einsum("nij,nj->ni", at_load, load) * factor
         columns = velocity * torque[:, None, :, None]  # (N, P, 6, 3)
         # half the gradient by the columns, and by the torques
         by_columns = np.zeros_like(columns)
-        by_columns[:, :, keep] = np.einsum("npix,nij->npjx", columns[:, :, keep], weight)
+        by_columns[:, :, joints] = np.einsum("npix,nij->npjx", columns[:, :, joints], weight)
         by_torque = np.einsum("npix,npix->ni", by_columns, velocity) * factor
         # derivatives of the velocities i by the joint angles a: (N, P, i, a, 3) and (N, i, a, 3)
-        velocity_slope = np.cross(arm_pose.axis[:, _SMALLER_INDEX][:, None], velocity[:, :, _LARGER_INDEX])
-        at_load_slope = np.cross(arm_pose.axis[:, _SMALLER_INDEX], at_load[:, _LARGER_INDEX])
+        velocity_slope = np.cross(
+            arm_pose.axis[:, _JOINT_NEARER_TO_BASE][:, None], velocity[:, :, _JOINT_NEARER_TO_TOOL]
+        )
+        at_load_slope = np.cross(arm_pose.axis[:, _JOINT_NEARER_TO_BASE], at_load[:, _JOINT_NEARER_TO_TOOL])
         gradient = np.empty((len(q), 8))
         gradient[:, :6] = np.einsum("npix,npiax,ni->na", by_columns, velocity_slope, torque)
         gradient[:, :6] += np.einsum("ni,niax,nx->na", by_torque, at_load_slope, load)

@@ -150,7 +150,7 @@ def _accuracy_content(result: PlanResult) -> dict[str, object]:
         },
         "parameters": [
             {"name": parameter.symbol, "ci95_percent": float(half_width) * 100.0}
-            for parameter, half_width in zip(accuracy.parameters, accuracy.relative, strict=True)
+            for parameter, half_width in zip(accuracy.parameters, accuracy.relative_half_widths, strict=True)
         ],
     }
 
@@ -159,7 +159,7 @@ def _torque_entries(result: PlanResult) -> list[dict[str, object]]:
     """Return an entry for each joint: torques of the loads [N·m], poses by their sign, and torques of the work."""
     low, high = torque_extremes(result)
     # work: sizes (6, 2) of the torques of the work to the negative and to the positive side
-    counts, work = pose_counts_by_side(result), result.directions.work
+    counts, work = pose_counts_by_side(result), result.directions.work_torque
 
     def values_by_sign(name: str, values: Iterable[float]) -> dict[str, float]:
         """Return the values of the negative and the positive side by key: `name` with the sign in place of `{}`."""
@@ -510,7 +510,7 @@ def parameters_section(result: PlanResult) -> Section:
                 Cell(f"± {_percent_text(float(half))}", "good" if half <= _WELL_KNOWN_SHARE else "warning"),
             )
         )
-        for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative, strict=True)
+        for parameter, half in zip(result.accuracy.parameters, result.accuracy.relative_half_widths, strict=True)
     )
     note = (
         "Of the robot's present value. A plan made for the work at hand may leave wide what the work does not need. "
@@ -523,7 +523,7 @@ def parameters_section(result: PlanResult) -> Section:
 def torques_section(result: PlanResult) -> Section:
     """Return the section with the torques [N·m] of the loads on the joints, by sign, and those of the work."""
     low, high = torque_extremes(result)
-    work, count = result.directions.work, pose_counts_by_side(result)
+    work, count = result.directions.work_torque, pose_counts_by_side(result)
     rows = tuple(
         Row(
             (

@@ -72,7 +72,7 @@ def test_moments_of_the_load_turn_the_joints_too(readings):
     readings, site = readings
     q, _, _, _ = plan(site, each=1)
     load = np.random.default_rng(6).normal(size=(len(q), 6)) * [900.0, 900, 900, 300, 300, 300]
-    rows = readings.regressor(q, load) * readings.noise / readings.scale
+    rows = readings.regressor(q, load) * readings.noise / readings.unit_compliance
     spots = np.array([[*spot, 1.0] for spot in (setting.LOAD_POINT, *setting.POINTS.values())])
     for angles, wrench, found in zip(q, load, rows, strict=True):
         pose = setting.differences(lambda x: setting.ORACLE.frames(x)[-1], angles)  # (4, 4, 6)
@@ -172,7 +172,7 @@ def test_the_expected_accuracy_is_that_of_a_thousand_errors_of_an_independent_fi
     half = 1.96 * np.sqrt(np.diag(covariance))
     names = [parameter.name for parameter in found.parameters]
     for name, relative in zip(("k1", "k3", "k4", "k5", "k6", "k2", "K_c", "s_0"), half, strict=False):
-        assert found.relative[names.index(name)] == pytest.approx(relative, rel=2e-3), name
+        assert found.relative_half_widths[names.index(name)] == pytest.approx(relative, rel=2e-3), name
     assert len(names) == len(half)
     drawn = np.random.default_rng(0).multivariate_normal(np.zeros(len(half)), covariance, 4000)
     rms = np.sqrt(np.einsum("t,ntk->n", tests.weight, np.einsum("tka,na->ntk", work, drawn) ** 2))

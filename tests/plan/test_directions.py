@@ -45,13 +45,13 @@ def test_every_joint_is_loaded_to_both_sides_by_the_torque_of_the_work(tmp_path,
     torque = simulated(result.plan.q, result.force)
     np.testing.assert_allclose(result.torque, torque, atol=1e-6 * np.abs(torque).max())
     found = result.directions
-    assert np.all(found.need == min(MIN_CONFIGURATIONS, configurations // 3))
-    assert np.all(sides(torque, found.least) >= found.need)
+    assert np.all(found.pose_count == min(MIN_CONFIGURATIONS, configurations // 3))
+    assert np.all(sides(torque, found.min_torque) >= found.pose_count)
     # near the work: a pose counts by its torque, where poses that can be measured reach that
-    np.testing.assert_allclose(found.work, work_of(ONE_POSE), rtol=1e-9)
-    reachable = found.work <= 0.5 * found.reached
-    assert np.all(found.least[reachable] >= found.work[reachable])
-    assert np.all(found.least >= 0.1 * found.reached - 1e-9)
+    np.testing.assert_allclose(found.work_torque, work_of(ONE_POSE), rtol=1e-9)
+    reachable = found.work_torque <= 0.5 * found.rig_torque
+    assert np.all(found.min_torque[reachable] >= found.work_torque[reachable])
+    assert np.all(found.min_torque >= 0.1 * found.rig_torque - 1e-9)
 
 
 def work_of(tests):
@@ -70,11 +70,13 @@ def test_without_the_condition_the_same_search_leaves_joints_one_sided(tmp_path,
     needed = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
 
     def no_need(*arguments):
-        return replace(criterion.required_directions(*arguments), need=np.zeros((6, 2), dtype=np.int64))
+        return replace(criterion.required_directions(*arguments), pose_count=np.zeros((6, 2), dtype=np.int64))
 
     monkeypatch.setattr("postproc.plan.planning.required_directions", no_need)
     free = setting.quick(tmp_path, tests=ONE_POSE, configurations=15, levels=4)
-    assert np.any(sides(simulated(free.plan.q, free.force), needed.directions.least) < needed.directions.need)
+    assert np.any(
+        sides(simulated(free.plan.q, free.force), needed.directions.min_torque) < needed.directions.pose_count
+    )
     # the condition costs little of the criterion
     assert free.plan.value <= needed.plan.value * 1.05
     assert np.sqrt(needed.plan.value / free.plan.value) < 1.3
@@ -86,16 +88,16 @@ def test_a_weight_that_hangs_cannot_turn_a1_and_the_warning_says_so(tmp_path):
     assert "A1 (negative and positive)" in told
     assert "A4" not in told
     assert "max_angle_deg if a pulley can turn the pull" in told
-    assert np.all(result.directions.need[0] == 0)
-    counted = sides(simulated(result.plan.q, result.force), result.directions.least)
-    assert np.all(counted[1:] >= result.directions.need[1:])
+    assert np.all(result.directions.pose_count[0] == 0)
+    counted = sides(simulated(result.plan.q, result.force), result.directions.min_torque)
+    assert np.all(counted[1:] >= result.directions.pose_count[1:])
 
 
 def test_a_direction_that_only_the_work_has_is_named_with_its_torque():
     torque = np.abs(np.random.default_rng(0).normal(300.0, 50.0, (500, 6)))
     found = criterion.required_directions(torque, ONE_POSE, 15)
     (told,) = unreachable_direction_warnings(found, vertical=False)
-    negative = found.work[:, 0]
+    negative = found.work_torque[:, 0]
     joint = int(np.argmax(negative))
     assert negative[joint] > 0.0
     assert f"A{joint + 1} (negative; the work has up to {negative[joint]:.0f} N·m negative)" in told
@@ -110,7 +112,7 @@ def test_a_direction_that_only_the_work_has_is_named_with_its_torque():
 
 def test_what_was_measured_counts(tmp_path):
     both = np.concatenate([np.full((10, 6), 500.0), np.full((10, 6), -500.0)])
-    assert np.all(criterion.required_directions(both, ONE_POSE, 9).need == 3)
+    assert np.all(criterion.required_directions(both, ONE_POSE, 9).pose_count == 3)
     measured = np.concatenate([np.full((2, 6), 500.0), np.full((4, 6), -500.0)])
     found = criterion.required_directions(both, ONE_POSE, 9, measured)  # 15 poses in all: five to each side
-    assert found.need.tolist() == [[1, 3]] * 6
+    assert found.pose_count.tolist() == [[1, 3]] * 6

@@ -47,8 +47,8 @@ def lacking(task, plan):
             lambda x: setting.ORACLE.tcp(x, setting.in_flange(setting.LOAD_POINT))[:3, 3], angles
         )
         torque = moved.T @ force
-        count += np.stack([-torque, torque], axis=-1) >= task.directions.least
-    return np.maximum(task.directions.need - count, 0).sum()
+        count += np.stack([-torque, torque], axis=-1) >= task.directions.min_torque
+    return np.maximum(task.directions.pose_count - count, 0).sum()
 
 
 def test_poses_that_move_lower_the_criterion_can_be_measured_and_keep_their_level(task):
@@ -88,7 +88,7 @@ def test_levels_that_move_take_their_poses_along(task):
 
 def test_each_pose_in_turn_is_exchanged_for_the_best_candidate_of_its_level(task):
     columns = {name: getattr(task.candidates, name)[:, :20] for name in ("q", "tilt", "information", "torque")}
-    undemanding = replace(task.directions, need=np.zeros((6, 2), dtype=int))
+    undemanding = replace(task.directions, pose_count=np.zeros((6, 2), dtype=int))
     task = replace(task, candidates=replace(task.candidates, **columns), directions=undemanding)
     rng = np.random.default_rng(7)
     row, level = search.first_levels(task, rng, spread=True), task.pose_levels(rng)
@@ -188,15 +188,15 @@ def test_a_pose_counts_from_the_torque_of_the_work_within_what_poses_reach(work,
         setting.job().take(np.array([0, 1])), weight=np.array([0.5, 0.5]), torque=np.array([[work] * 6, [-work] * 6])
     )
     found = criterion.required_directions(torque, tests, 30)
-    np.testing.assert_allclose(found.least, least)
-    np.testing.assert_allclose(found.reached, 500.0)
-    np.testing.assert_allclose(found.work, work)
-    assert (found.need == 5).all()  # as many as cover a direction
-    assert (criterion.required_directions(torque, tests, 9).need == 3).all()  # one pose of three
+    np.testing.assert_allclose(found.min_torque, least)
+    np.testing.assert_allclose(found.rig_torque, 500.0)
+    np.testing.assert_allclose(found.work_torque, work)
+    assert (found.pose_count == 5).all()  # as many as cover a direction
+    assert (criterion.required_directions(torque, tests, 9).pose_count == 3).all()  # one pose of three
     one_sided = criterion.required_directions(np.abs(torque), tests, 30)
-    np.testing.assert_array_equal(one_sided.need, [[0, 5]] * 6)
+    np.testing.assert_array_equal(one_sided.pose_count, [[0, 5]] * 6)
     tiny = criterion.required_directions(torque * 1e-2, tests, 30)
-    assert tiny.least.min() >= 1.0  # below 1 N·m a torque has no sign
+    assert tiny.min_torque.min() >= 1.0  # below 1 N·m a torque has no sign
 
 
 def test_poses_count_by_joint_and_side():

@@ -14,7 +14,7 @@ from postproc.errors import PlanError
 from postproc.identification.readings import Box, Measurements, read_experiment
 from postproc.plan import constraints, milling, planning, search
 from postproc.plan.compensator import CompensatorOptions, plan_compensator, summary, text_lines
-from postproc.plan.criterion import Joint2, _compliance_slopes, measured_information
+from postproc.plan.criterion import Joint2, _compliances_by_parameters, measured_information
 from postproc.plan.search import Candidates, Plan, Task
 from postproc.plan.sensitivity import Readings, direction
 from postproc.plan.site import BoxShape, site_of
@@ -574,7 +574,7 @@ def test_compliances_depend_on_gear_and_spring_of_joint_2_by_its_pose(keep):
         return 1.0 / (1.0 / parameters[0] + gear * (energy[0] - 2.0 * energy[1] + energy[2]) / h**2)
 
     for free in (False, True):
-        found = _compliance_slopes(Joint2.of(stiff, free), list(keep), q)
+        found = _compliances_by_parameters(Joint2.of(stiff, free), list(keep), q)
         size, two = len(keep), keep.index(1)
         assert found.shape == (3, size, size + (2 if free else 0))
         for row, angle in enumerate(q[:, 1]):

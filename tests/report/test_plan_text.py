@@ -32,7 +32,7 @@ DIRECTIONS = Directions(np.zeros((6, 2), dtype=int), np.tile([200.0, 50.0], (6, 
 ACCURACY = SimpleNamespace(
     rms=0.0123e-3, interval=(0.009e-3, 0.021e-3), poses=np.array([0.01e-3, 0.0345e-3]),
     parameters=[SimpleNamespace(symbol="k1"), SimpleNamespace(symbol="k2"), SimpleNamespace(symbol="k3")],
-    relative=np.array([0.05, 0.5, 12.0]),
+    relative_half_widths=np.array([0.05, 0.5, 12.0]),
 )  # fmt: skip
 RESULT = SimpleNamespace(
     options=Options(seed=7), robot="kuka_kr270", site=SimpleNamespace(rig=SimpleNamespace(force=900.0)),
