@@ -1,5 +1,9 @@
 """Where paths meet: branches not known before run time at their join, a LOOP without EXIT at its start.
 
+A fork is an IF or SWITCH whose branch taken is not known before run time; its branches end at a join. A motion is given
+by its index among all motions of the program, in execution order; its row is that in the execution trace, the lines of
+the program in the order in which they are executed.
+
 Each branch is corrected from the fork to the join, and the loop as one round that repeats. All that leads to one
 motion must end in the same pose; a round must end in the state in which it began, too.
 """
@@ -41,7 +45,7 @@ _FORCE_ADVICE = "Write a force comment, such as FORCE OFF, before the first moti
 class BranchError(ProgramError):
     """Branches cannot be corrected.
 
-    :ivar fork_visits: the visits to all forks whose branches cannot be corrected.
+    :ivar fork_visits: the forks whose branches cannot be corrected; in a loop, each iteration visits a fork anew.
     """
 
     fork_visits: frozenset[ForkVisit]
@@ -50,7 +54,7 @@ class BranchError(ProgramError):
 class _Fault(NamedTuple):
     """Why the branches of a fork cannot be corrected.
 
-    :ivar fork: line of the trace with the fork.
+    :ivar fork: row of the trace with the fork.
     :ivar problem: what is wrong, as text for a message; `advice` says what to do.
     """
 
@@ -60,9 +64,9 @@ class _Fault(NamedTuple):
 
 
 class JoinedEnds(NamedTuple):
-    """The ends of the branches of a control-flow join.
+    """The ends of the branches that meet at a control-flow join.
 
-    :ivar fork: line of the trace with the fork of these branches.
+    :ivar fork: row of the trace with the IF or SWITCH of these branches.
     :ivar ends: the motions that may be the last before the join, ascending; −1: the start of the program.
     """
 
@@ -73,7 +77,8 @@ class JoinedEnds(NamedTuple):
 def joins_before_joint_targets(execution: Execution, sequence: OrderedMotions) -> frozenset[Join]:
     """Return the joins after which every motion that may run next is a PTP to joint angles.
 
-    Branches may end in different poses there. A join that no motion can follow is returned, too.
+    Branches may end in different poses there, because such a PTP ends in one pose wherever it starts. A join that no
+    motion can follow is returned, too.
     """
     successors = _Successors(execution, sequence)
     joins = [(number, step) for number, step in enumerate(successors.steps) if isinstance(step, Join)]
@@ -84,10 +89,10 @@ class _Successors:
     """Finds the motions that may follow each fork, branch and join of an execution trace."""
 
     def __init__(self, execution: Execution, sequence: OrderedMotions) -> None:
-        """Find the forks, branches and joins of an execution trace, and store them in `steps`."""
+        """Store the forks, branches and joins of an execution trace in `steps`, in execution order."""
         self.steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
         self._execution, self._sequence = execution, sequence
-        self._results: dict[int, bool] = {}
+        self._results: dict[int, bool] = {}  # index in `steps` → result of `leads_to_joints`
 
     def leads_to_joints(self, number: int) -> bool:
         """Return whether every motion that may run next after a step is a PTP to joint angles; the result is stored.
@@ -105,12 +110,13 @@ class _Successors:
 
         :param number: index of the step in `steps`.
         """
-        lines, step = self._sequence.columns.trace_row, self.steps[number]
+        trace_row, step = self._sequence.columns.trace_row, self.steps[number]
         next_step = self.steps[number + 1] if number + 1 < len(self.steps) else None
-        row = int(np.searchsorted(lines, step.row, side="right"))  # the first motion after the step
-        if row < len(lines) and (next_step is None or lines[row] <= next_step.row):  # a motion before the next step
-            return is_ptp_to_joints(self._sequence, row)
-        if next_step is None:
+        motion = int(np.searchsorted(trace_row, step.row, side="right"))  # the first after the step
+        is_before_next_step = motion < len(trace_row) and (next_step is None or trace_row[motion] <= next_step.row)
+        if is_before_next_step:
+            return is_ptp_to_joints(self._sequence, motion)
+        if next_step is None:  # the program ends, or its endless LOOP begins anew
             return self._next_round_leads_to_joints()
         if isinstance(next_step, Fork):  # its branches, and what follows them if all may be skipped
             branches, join = self._branches_and_join(number + 1)
@@ -150,49 +156,50 @@ class _Successors:
 
         :returns: True if the program does not end in a LOOP: nothing follows its end.
         """
-        loop, lines = self._execution.endless_loop, self._sequence.columns.trace_row
+        loop, trace_row = self._execution.endless_loop, self._sequence.columns.trace_row
         if loop is None:
             return True
-        row = int(np.searchsorted(lines, loop.first))  # the first motion of the loop
-        is_before_branches = row < len(lines) and not any(loop.first <= step.row < lines[row] for step in self.steps)
-        return is_before_branches and is_ptp_to_joints(self._sequence, row)
+        motion = int(np.searchsorted(trace_row, loop.first))  # the first motion of the loop
+        if motion == len(trace_row) or any(loop.first <= step.row < trace_row[motion] for step in self.steps):
+            return False
+        return is_ptp_to_joints(self._sequence, motion)
 
 
-def is_ptp_to_joints(sequence: OrderedMotions, row: int) -> bool:
+def is_ptp_to_joints(sequence: OrderedMotions, motion: int) -> bool:
     """Return whether a motion is an absolute PTP to six joint angles, which ends in one pose wherever it starts."""
-    move = sequence.moves.get(row)
+    move = sequence.moves.get(motion)  # None for a plain motion, whose target is X, Y, Z, A, B, C
     return move is not None and not move.relative_axes and move.end.position.is_axis and move.end.position.is_complete
 
 
-def _first_ambiguous_ptp(sequence: OrderedMotions, rows: slice) -> int:
-    """Return the row of the first PTP among some motions to a Cartesian target without status or turn.
+def _first_ambiguous_ptp(sequence: OrderedMotions, motions: slice) -> int | None:
+    """Return the first PTP among some motions to a Cartesian target without status or turn; None if there is none.
 
     Its joint angles depend on the joint angles before it.
 
-    :param rows: the motions, which follow each other.
-    :returns: −1 if there is no such PTP.
+    :param motions: the motions, which follow each other.
     """
-    for row in (rows.start + np.flatnonzero(sequence.columns.kind[rows] == PTP)).tolist():
-        if not is_ptp_to_joints(sequence, row) and (sequence.columns.posture[row] < 0).any():
-            return int(row)
-    return -1
+    for motion in (motions.start + np.flatnonzero(sequence.columns.kind[motions] == PTP)).tolist():
+        lacks_status_or_turn = (sequence.columns.posture[motion] < 0).any()  # −1: S or T is missing
+        if not is_ptp_to_joints(sequence, motion) and lacks_status_or_turn:
+            return int(motion)
+    return None
 
 
 def predecessors_and_joins(
     execution: Execution,
     sequence: OrderedMotions,
     predecessors: Ints | None,
-    kept_lines: Sequence[int],
+    uncorrected_rows: Sequence[int],
     unchecked_joins: Set[Join],
 ) -> tuple[Ints | None, list[JoinedEnds]]:
-    """Return the motion at whose end each of M motions begins, see `Program.after`, and the control-flow joins.
+    """Return the motion at whose end each of M motions begins, see `Program.after`, and the ends of branches at joins.
 
     Joins at which branches may end in different poses are left out.
 
     :param sequence: the M motions, in the order of the trace.
     :param predecessors: (M,) the motion at whose end each would begin if branches ran one after the other; None: the
         motion before it. Returned unchanged for a trace without branches.
-    :param kept_lines: lines of uncorrected motions.
+    :param uncorrected_rows: rows of the trace with motions that stay uncorrected.
     :param unchecked_joins: joins at which branches may end in different poses.
     :raises BranchError: an uncorrected motion is in a branch, or a motion in or after a branch depends on more than its
         start pose.
@@ -200,22 +207,23 @@ def predecessors_and_joins(
     steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     if not steps:
         return predecessors, []
-    line = sequence.columns.trace_row
-    branch_flow = _branch_flow(steps, line, unchecked_joins)
-    branch_predecessors = np.arange(len(line)) - 1 if predecessors is None else predecessors.copy()
-    for row, motions in branch_flow.previous_motions.items():
-        if branch_predecessors[row] != row:  # its start is known
+    trace_row = sequence.columns.trace_row
+    branch_flow = _branch_flow(steps, trace_row, unchecked_joins)
+    branch_predecessors = np.arange(len(trace_row)) - 1 if predecessors is None else predecessors.copy()
+    for motion, last_motions in branch_flow.previous_motions.items():
+        has_known_start = branch_predecessors[motion] != motion
+        if has_known_start:
             # all of them end in one pose, except at an unchecked join
-            branch_predecessors[row] = min(motions)
+            branch_predecessors[motion] = min(last_motions)
     _refuse_branches(
-        execution, _faults_in_branches(execution, sequence, branch_flow.joins, kept_lines, unchecked_joins)
+        execution, _faults_in_branches(execution, sequence, branch_flow.joins, uncorrected_rows, unchecked_joins)
     )
-    # motions that do not begin at the end of the motion before them; those with an unknown start are checked elsewhere
     faults: list[_Fault] = []
-    for row in np.flatnonzero(branch_predecessors != np.arange(len(line)) - 1).tolist():
-        if branch_predecessors[row] != row and depends_on_start(sequence, row, arcs=False):
-            problem = f"{_start_dependence(sequence, row)} where branches begin or meet"
-            faults.append(_Fault(int(branch_flow.fork_lines[row]), problem, _START_ADVICE))
+    for motion in np.flatnonzero(branch_predecessors != np.arange(len(trace_row)) - 1).tolist():
+        has_known_start = branch_predecessors[motion] != motion  # else it is checked in `unresolved`
+        if has_known_start and depends_on_start(sequence, motion, arcs=False):
+            problem = f"{_start_dependence(sequence, motion)} where branches begin or meet"
+            faults.append(_Fault(int(branch_flow.fork_rows[motion]), problem, _START_ADVICE))
     _refuse_branches(execution, faults)
     return branch_predecessors, [ends for join, ends in branch_flow.joins if join not in unchecked_joins]
 
@@ -224,22 +232,28 @@ def _faults_in_branches(
     execution: Execution,
     sequence: OrderedMotions,
     joins: Sequence[tuple[Join, JoinedEnds]],
-    kept_lines: Sequence[int],
+    uncorrected_rows: Sequence[int],
     unchecked_joins: Set[Join],
 ) -> list[_Fault]:
     """Return a fault for each join with an uncorrected motion or an ambiguous PTP in one of its branches.
 
     :param joins: all joins of the trace, with the ends of their branches.
-    :param kept_lines: lines of uncorrected motions.
-    :param unchecked_joins: joins at which branches may end in different poses: a PTP is not ambiguous there.
+    :param uncorrected_rows: rows of the trace with motions that stay uncorrected.
+    :param unchecked_joins: joins at which branches may end in different poses: ambiguous PTPs do no harm there, because
+        a PTP to joint angles follows.
     """
-    line, faults = sequence.columns.trace_row, list[_Fault]()
+    trace_row, faults = sequence.columns.trace_row, list[_Fault]()
     for join, ends in joins:
-        rows = slice(*np.searchsorted(line, [ends.fork, join.row], side="right"))  # motions between fork and join
-        if any(ends.fork < kept_line <= join.row for kept_line in kept_lines):
+        if any(ends.fork < row <= join.row for row in uncorrected_rows):
             faults.append(_Fault(ends.fork, "an uncorrected motion is inside a branch"))
-        elif join not in unchecked_joins and (row := _first_ambiguous_ptp(sequence, rows)) >= 0:
-            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({execution.trace.place(int(line[row]))})"
+            continue
+        if join in unchecked_joins:
+            continue
+        motions_in_branches = slice(*np.searchsorted(trace_row, [ends.fork, join.row], side="right"))
+        ptp = _first_ambiguous_ptp(sequence, motions_in_branches)
+        if ptp is not None:
+            place = execution.trace.place(int(trace_row[ptp]))
+            problem = f"a PTP to X, Y, Z without S and T is inside a branch ({place})"
             faults.append(_Fault(ends.fork, problem, _PTP_ADVICE))
     return faults
 
@@ -247,80 +261,80 @@ def _faults_in_branches(
 class _BranchFlow(NamedTuple):
     """The order of M motions at forks, branches and joins.
 
-    A motion is its row; −1 is the start of the program.
+    A motion is given by its index; −1 is the start of the program.
 
     :ivar previous_motions: for the first motion of the program, and each motion right after a fork, branch or join: the
         motions that may run last before it.
     :ivar last_motions: motions that may be the last of the program.
-    :ivar fork_lines: (M + 1,) for each motion right after a fork, branch or join, and for the end of the program, the
-        line of the trace with the fork of that branch or join; 0 for all other motions.
+    :ivar fork_rows: (M + 1,) for each motion right after a fork, branch or join, and for the end of the program, the
+        row of the trace with the fork of that branch or join; 0 for all other motions: rows count from 1.
     :ivar joins: all joins, with the ends of their branches.
     """
 
     previous_motions: dict[int, frozenset[int]]
     last_motions: frozenset[int]
-    fork_lines: Ints
+    fork_rows: Ints
     joins: list[tuple[Join, JoinedEnds]]
 
 
 class _OpenFork(NamedTuple):
     """A fork whose join has not been reached.
 
-    :ivar line: line of the execution trace with the fork.
+    :ivar row: row of the execution trace with the fork.
     :ivar entries: motions that may be the last before the fork.
     :ivar branch_ends: motions that may be the last of the branches that have ended.
     :ivar has_branch: True once a branch has begun.
     """
 
-    line: int
+    row: int
     entries: frozenset[int]
     branch_ends: frozenset[int]
     has_branch: bool
 
 
-def _branch_flow(steps: Sequence[Fork | Branch | Join], line: Ints, unchecked_joins: Set[Join]) -> _BranchFlow:
-    """Return the order of M motions at forks, branches and joins.
+def _branch_flow(steps: Sequence[Fork | Branch | Join], trace_row: Ints, unchecked_joins: Set[Join]) -> _BranchFlow:
+    """Return which of M motions may follow which at forks, branches and joins.
 
-    Each branch begins where its fork was reached.
+    Each branch begins at the end of the motion before its fork.
 
     :param steps: forks, branches and joins of the trace, in order; empty for a trace without branches.
-    :param line: (M,) lines of the trace with the motions.
+    :param trace_row: (M,) rows of the trace with the motions, ascending.
     :param unchecked_joins: joins at which branches may end in different poses. At each other join, all branches end in
         one pose: the last motion that comes first in the trace represents all of them.
     """
     previous_motions: dict[int, frozenset[int]] = {}
     open_forks: list[_OpenFork] = []
     joins: list[tuple[Join, JoinedEnds]] = []
-    fork_lines = np.full(len(line) + 1, 0)
+    fork_rows = np.full(len(trace_row) + 1, 0)
     # motions that may be the last before the present step; the first motion after it
     last_motions, next_motion = frozenset({-1}), 0
 
     def pass_motions(stop: int) -> None:
-        """Pass the motions before `stop`; the first of them follows one of `last_motions`."""
+        """Pass the motions from `next_motion` to `stop` − 1; the first of them follows one of `last_motions`."""
         nonlocal last_motions, next_motion
         if stop > next_motion:
             previous_motions[next_motion] = last_motions
             last_motions, next_motion = frozenset({stop - 1}), stop
 
     for step in steps:
-        pass_motions(int(np.searchsorted(line, step.row, side="right")))  # those up to the line of the step
-        fork_lines[next_motion] = open_forks[-1].line if open_forks else step.row
+        pass_motions(int(np.searchsorted(trace_row, step.row, side="right")))  # those up to the row of the step
+        fork_rows[next_motion] = open_forks[-1].row if open_forks else step.row
         if isinstance(step, Fork):
             open_forks.append(_OpenFork(step.row, last_motions, frozenset(), has_branch=False))
             continue
-        fork, entries, branch_ends, has_branch = open_forks.pop()
+        fork_row, entries, branch_ends, has_branch = open_forks.pop()
         if has_branch or isinstance(step, Join):  # a branch ends here
             branch_ends |= last_motions
         if isinstance(step, Branch):
-            open_forks.append(_OpenFork(fork, entries, branch_ends, has_branch=True))
+            open_forks.append(_OpenFork(fork_row, entries, branch_ends, has_branch=True))
             last_motions = entries
         else:
             # if all branches may be skipped, the motions before the fork are ends too
             ends = branch_ends if step.is_exhaustive else branch_ends | entries
-            joins.append((step, JoinedEnds(fork, tuple(sorted(ends)))))
+            joins.append((step, JoinedEnds(fork_row, tuple(sorted(ends)))))
             last_motions = ends if step in unchecked_joins else frozenset({min(ends)})
-    pass_motions(len(line))
-    return _BranchFlow(previous_motions, last_motions, fork_lines, joins)
+    pass_motions(len(trace_row))
+    return _BranchFlow(previous_motions, last_motions, fork_rows, joins)
 
 
 def motions_before(
@@ -352,18 +366,18 @@ def motions_before(
         yield from ((int(all_rows[index]), motion) for motion in sorted(motions))
 
 
-def branch_spans(execution: Execution, line: Ints) -> tuple[tuple[int, int], ...]:
+def branch_spans(execution: Execution, trace_row: Ints) -> tuple[tuple[int, int], ...]:
     """Return, for each branch with motions, its first motion and the motion after its last; see `Program.branches`.
 
     :param execution: the execution trace with its forks, branches and joins.
-    :param line: (M,) lines of the trace with the motions.
+    :param trace_row: (M,) rows of the trace with the motions.
     """
     spans: list[tuple[int, int]] = []
     first_motions: list[int | None] = []  # of the present branch of each open fork; None: no branch has begun
     for step in execution.steps:
         if not isinstance(step, Fork | Branch | Join):
             continue
-        next_motion = int(np.searchsorted(line, step.row, side="right"))
+        next_motion = int(np.searchsorted(trace_row, step.row, side="right"))
         if isinstance(step, Fork):
             first_motions.append(None)
             continue
@@ -377,52 +391,58 @@ def branch_spans(execution: Execution, line: Ints) -> tuple[tuple[int, int], ...
 
 
 def transitions(
-    execution: Execution, line: Ints, predecessors: Ints | None, kept_lines: Sequence[int], unchecked_joins: Set[Join]
+    execution: Execution,
+    trace_row: Ints,
+    predecessors: Ints | None,
+    uncorrected_rows: Sequence[int],
+    unchecked_joins: Set[Join],
 ) -> tuple[tuple[int, int], ...]:
     """Return pairs (motion, previous motion): further motions at whose ends a motion may begin.
 
     See `Program.transitions`. The previous motions that `predecessors` states are left out.
 
-    :param line: (M,) lines of the trace with the motions.
+    :param trace_row: (M,) rows of the trace with the motions.
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
-    :param kept_lines: lines of uncorrected motions. If one is behind the last corrected motion, an endless loop ends
-        its round in an unknown pose.
+    :param uncorrected_rows: rows of the trace with motions that stay uncorrected.
     :param unchecked_joins: joins at which branches may end in different poses.
     """
-    previous_rows = np.arange(len(line)) - 1 if predecessors is None else predecessors
+    stated_predecessors = np.arange(len(trace_row)) - 1 if predecessors is None else predecessors
     branch_flow = _branch_flow(
-        [step for step in execution.steps if isinstance(step, Fork | Branch | Join)], line, unchecked_joins
+        [step for step in execution.steps if isinstance(step, Fork | Branch | Join)], trace_row, unchecked_joins
     )
     further_transitions = [
-        (row, end)
-        for row, ends in branch_flow.previous_motions.items()
-        if previous_rows[row] != row  # its start is known
+        (motion, end)
+        for motion, ends in branch_flow.previous_motions.items()
+        if stated_predecessors[motion] != motion  # else its start is not known
         for end in sorted(ends)
-        if end != previous_rows[row]
+        if end != stated_predecessors[motion]
     ]
-    if max(kept_lines, default=0) < max(line, default=0):  # the last motion is corrected
-        further_transitions += _round_transitions(execution, line, previous_rows, branch_flow.last_motions)
+    # behind an uncorrected motion, the round of an endless loop ends in an unknown pose
+    is_last_motion_corrected = max(uncorrected_rows, default=0) < max(trace_row, default=0)
+    if is_last_motion_corrected:
+        further_transitions += _round_transitions(execution, trace_row, stated_predecessors, branch_flow.last_motions)
     return tuple(dict.fromkeys(further_transitions))  # without repetitions
 
 
 def _round_transitions(
-    execution: Execution, line: Ints, previous_rows: Ints, ends: Set[int]
+    execution: Execution, trace_row: Ints, predecessors: Ints, ends: Set[int]
 ) -> Iterator[tuple[int, int]]:
     """Yield pairs: a motion that may begin the second round of an endless loop, and the motion that may precede it.
 
-    The motions that may be the first are those that begin where the first motion of the loop begins. Nothing is yielded
-    without an endless loop.
+    With branches, several motions may be the first of a round: all that begin where the first motion of the loop does.
+    Nothing is yielded without an endless loop.
 
-    :param line: (M,) lines of the trace with the motions.
-    :param previous_rows: (M,) the motion at whose end each begins; the motion itself if its start is not known.
+    :param trace_row: (M,) rows of the trace with the motions.
+    :param predecessors: (M,) the motion at whose end each begins; the motion itself if its start is not known.
     :param ends: motions that may be the last of the first round.
     """
     if (loop := execution.endless_loop) is None:
         return
-    first, stop = np.searchsorted(line, [loop.first, loop.stop]).tolist()
-    rows = first + np.flatnonzero(previous_rows[first:stop] == previous_rows[first : first + 1])
-    for row in rows[previous_rows[rows] != rows].tolist():
-        yield from ((row, end) for end in sorted(ends) if end != previous_rows[row])
+    first, stop = np.searchsorted(trace_row, [loop.first, loop.stop]).tolist()
+    first_motions = first + np.flatnonzero(predecessors[first:stop] == predecessors[first : first + 1])
+    has_known_start = predecessors[first_motions] != first_motions
+    for motion in first_motions[has_known_start].tolist():
+        yield from ((motion, end) for end in sorted(ends) if end != predecessors[motion])
 
 
 class FramesAndStart(NamedTuple):
@@ -437,15 +457,15 @@ class FramesAndStart(NamedTuple):
     tools: Array
     start_flange: Array
 
-    def end_flange(self, motions: Motions, row: int) -> Array:
+    def end_flange(self, motions: Motions, motion: int) -> Array:
         """Return the flange (4, 4) in the robot root [m] at the end of a motion.
 
-        :param row: row of the motion; −1: the start of the program.
+        :param motion: index of the motion; −1: the start of the program.
         """
-        if row < 0:
+        if motion < 0:
             return self.start_flange
-        tool = self.tools[motions.tool[row]]
-        return np.asarray(self.bases[motions.base[row]] @ motions.target[row] @ inverse(tool))
+        tool = self.tools[motions.tool[motion]]
+        return np.asarray(self.bases[motions.base[motion]] @ motions.target[motion] @ inverse(tool))
 
 
 def check_joins(
@@ -455,7 +475,7 @@ def check_joins(
     carriage: Carriage | None,
     path: FramesAndStart,
 ) -> None:
-    """Refuse branches that end in different poses.
+    """Refuse branches that end in different poses: what follows them could be corrected for one of the poses only.
 
     :param joins: the joins at which branches must end in one pose.
     :param motions: the M motions of the program.
@@ -465,11 +485,11 @@ def check_joins(
     """
     faults: list[_Fault] = []
     for fork, ends in joins:
-        flanges = [path.end_flange(motions, row) for row in ends]
+        flanges = [path.end_flange(motions, motion) for motion in ends]
         if any(np.abs(flange - flanges[0]).max() > _POSE_TOLERANCE for flange in flanges[1:]):
             faults.append(_Fault(fork, "the branches end in different places"))
         elif carriage is not None:
-            # the last element, which −1 selects, is the position at the start of the program
+            # E1 [m]; the last element, which −1 selects, is the position at the start of the program
             track_positions = np.append(carriage.end, carriage.begin[0])[list(ends)]
             if np.ptp(track_positions) > _POSE_TOLERANCE:
                 faults.append(_Fault(fork, "E1 differs between the ends of the branches"))
@@ -477,7 +497,7 @@ def check_joins(
 
 
 def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
-    """Refuse the branches of some forks; the error states the first fault, and the visits to all of these forks.
+    """Refuse the branches of some forks; the error states the first fault, and holds the visits to all of these forks.
 
     :raises BranchError: there are `faults`.
     """
@@ -486,17 +506,17 @@ def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
     fork, problem, advice = faults[0]
     base = execution.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
     error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
-    forks = {fault.fork for fault in faults}
+    fork_rows = {fault.fork for fault in faults}
     error.fork_visits = frozenset(
-        step.visit for step in execution.steps if isinstance(step, Fork) and step.row in forks
+        step.visit for step in execution.steps if isinstance(step, Fork) and step.row in fork_rows
     )
     raise error
 
 
-def _start_dependence(sequence: OrderedMotions, row: int) -> str:
+def _start_dependence(sequence: OrderedMotions, motion: int) -> str:
     """Return why a motion, for which `depends_on_start` holds, depends on its start, as text for a message."""
-    kind, move = int(sequence.columns.kind[row]), sequence.moves.get(row)
-    if kind != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
+    kind, move = int(sequence.columns.kind[motion]), sequence.moves.get(motion)
+    if kind != PTP and sequence.motion_states.at(motion).orientation == CONSTANT:
         return "$ORI_TYPE=#CONSTANT keeps the orientation"
     if kind == SPL:
         return "there is an SPL"
@@ -511,9 +531,9 @@ class EndlessRounds(NamedTuple):
     """The motions of a program that ends in a LOOP without EXIT.
 
     :ivar loop: the LOOP.
-    :ivar first: first motion of a round; `stop` is the motion after its last. Equal if the LOOP has no motions.
+    :ivar first: index of the first motion of a round; `stop` is that after its last. Equal if the LOOP has no motions.
     :ivar motions: all M motions of the program.
-    :ivar start: (M + 1) start poses of the motions, and last the start pose of `first` in the second round.
+    :ivar start: (M + 1) start poses of the motions, and last the start pose of motion `first` in the second round.
     :ivar carriage: the linear axis that carries the robot; None without one.
     """
 
@@ -532,21 +552,25 @@ class EndlessRounds(NamedTuple):
         :returns: empty if the LOOP has no motions, or if its first motion leads to joint angles: it does not matter
             then where that begins.
         """
-        if self.first == self.stop or not np.isnan(self.motions.joints[self.first, 0]):  # NaN: a Cartesian target
-            return ()
-        return ((self.first - 1, self.stop - 1),)
+        has_motions = self.first < self.stop
+        return ((self.first - 1, self.stop - 1),) if has_motions and not self._begins_with_joint_target() else ()
+
+    def _begins_with_joint_target(self) -> bool:
+        """Return whether the first motion of a round leads to joint angles: it ends in one pose wherever it starts."""
+        return not np.isnan(self.motions.joints[self.first, 0])  # NaN: a Cartesian target
 
     def pose_difference(self) -> str:
         """Return how the pose after a round differs from the pose before it, as text for a message.
 
         :returns: empty if the poses are equal, or the first motion leads to joint angles, from wherever it starts.
         """
-        motions, carriage, first, last = self.motions, self.carriage, self.first, self.stop - 1
+        carriage, first, last = self.carriage, self.first, self.stop - 1
         if carriage is not None and abs(carriage.end[last] - carriage.begin[first]) > _POSE_TOLERANCE:
             return "with E1 elsewhere than it began"
-        if not np.isnan(motions.joints[first, 0]):  # NaN: a Cartesian target
+        if self._begins_with_joint_target():
             return ""
-        begin, second_begin = self.start.at(np.array([first, len(motions)]))  # the last is that of the second round
+        second_round = len(self.motions)  # index of the start pose of the second round, see `start`
+        begin, second_begin = self.start.at(np.array([first, second_round]))
         if np.abs(second_begin[:3] - begin[:3]).max() < _POSE_TOLERANCE:
             return ""
         distance = float(np.linalg.norm(second_begin[:3, 3] - begin[:3, 3]))
@@ -557,6 +581,8 @@ class EndlessRounds(NamedTuple):
 
 def check_endless_loop(execution: Execution, rounds: EndlessRounds, settings: Settings) -> None:
     """Refuse a LOOP without EXIT whose round ends in another pose, or with other settings, than it began.
+
+    One round is corrected and written for all: the second must move as the first does.
 
     :param settings: the settings of the program, which has been followed.
     :raises ProgramError: the pose or the settings differ.
@@ -589,12 +615,13 @@ def endless_rounds(
     """
     count = len(motions)
     first, stop = np.searchsorted(layout.trace_row, [loop.first, loop.stop]).tolist()
-    # `first` once more, in the second round; any motion if the loop has none
-    rows = np.append(np.arange(count), min(first, count - 1))
-    all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, stop - 1)
+    # all motions, and `first` once more, in the second round; any motion in its place if the loop has none
+    sequence = np.append(np.arange(count), min(first, count - 1))
+    last_of_round = stop - 1
+    all_predecessors = np.append(np.arange(count) - 1 if predecessors is None else predecessors, last_of_round)
     start = Starts.of(
-        FrameColumns(motions.base[rows], motions.tool[rows], path.bases, path.tools),
-        lambda indices: motions.target[rows[indices]],
+        FrameColumns(motions.base[sequence], motions.tool[sequence], path.bases, path.tools),
+        lambda indices: motions.target[sequence[indices]],
         path.start_flange,
         all_predecessors,
     )
