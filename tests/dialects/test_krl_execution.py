@@ -691,9 +691,9 @@ def test_rows_of_one_line_have_equal_keys_if_they_are_written_alike():
     assert edited.rows.tolist() == rows
     assert edited.texts == tuple(f"{before}{FULL.replace('X 0', f'X {x}')}\r\n" for before, x in
                                  (("", 1), ("HALT\r\n", 2), ("", 1)))  # fmt: skip
-    keys = [edited.keys[row - 1] for row in rows]
+    keys = [edited.text_numbers[row - 1] for row in rows]
     assert keys[0] == keys[2] != keys[1]
-    assert np.count_nonzero(edited.keys) == 3
+    assert np.count_nonzero(edited.text_numbers) == 3
     assert np.diff(edited.begins)[np.array(rows) - 1].tolist() == [1, 2, 1]
 
 

@@ -192,6 +192,11 @@ class UnrolledLoop(Struct, eq=False):
     plain_rounds: PlainRounds | None = None
     is_endless: bool = False
 
+    @property
+    def is_for(self) -> bool:
+        """Whether the loop is a FOR; WHILE, REPEAT and LOOP have no counter."""
+        return self.step != 0
+
 
 class InlinedRoutine(Struct, eq=False):
     """An inlined routine.

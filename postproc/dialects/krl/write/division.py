@@ -42,7 +42,7 @@ def division_error(source: Source, problem: str, line: int, advice: str = ADVICE
 
 
 class CutPoints(Struct, frozen=True, eq=False):
-    """Lines at which the main routine of a program may be cut.
+    """Lines at which the main routine of a program may be cut into parts, which become separate files.
 
     :param begin: line of its DEF.
     :param end: line of its END.
@@ -59,7 +59,9 @@ class CutPoints(Struct, frozen=True, eq=False):
 
 
 def find_cut_points(source: Source, main: Routine) -> CutPoints:
-    """Return the lines at which the main routine of a program may be cut.
+    """Return the lines at which the main routine of a program may be cut into parts, which become separate files.
+
+    A cut is never inside a fold, a control structure or a spline, between a TRIGGER and its motion, or behind CONTINUE.
 
     :raises ProgramError: a statement would have another meaning in a separate file; there is no motion and no call.
     """
@@ -68,30 +70,30 @@ def find_cut_points(source: Source, main: Routine) -> CutPoints:
     depth = 0  # number of open folds and structures
     cuts: list[int] = []
     declarations: list[int] = []
-    is_waiting = False  # a TRIGGER waits for its motion, or CONTINUE for its statement
+    needs_next = False  # the last statement is a TRIGGER or CONTINUE, which refers to the one behind it
     for line in range(main.first + 1, main.last + 1):
         fold = fold_at(text, int(source.starts[line - 1]), int(source.stops[line - 1]))
-        if depth == 0 and not is_waiting and fold != "ENDFOLD":
+        if depth == 0 and not needs_next and fold != "ENDFOLD":
             cuts.append(line)
         if fold:
             depth = max(depth - 1, 0) if fold == "ENDFOLD" else depth + 1
             continue
         stmt = statement(source, line)
-        if stmt.start == stmt.stop or line == main.last:
+        if stmt.start == stmt.stop or line == main.last:  # a line without code, or END
             continue
         _check_divisible(source, line, stmt, first_motion)
         depth = max(0, depth + (stmt.word in _OPENING) - (stmt.word in _CLOSING))
         if isinstance(stmt, Motion | Spline):
-            first_motion, is_waiting = first_motion or line, False
+            first_motion, needs_next = first_motion or line, False
         elif isinstance(stmt, Trigger) or stmt.word == "CONTINUE":
-            is_waiting = True
+            needs_next = True
         elif _declares(stmt):
             declarations.append(line)
         elif isinstance(stmt, Event) and not stmt.is_global:
             first_call = 0  # only a call behind all INTERRUPTs counts
         elif not first_call and stmt.word != "BAS" and calls(stmt.values):
             first_call = line
-    first_motion = first_motion or first_call
+    first_motion = first_motion or first_call  # without motions of its own, all are in routines
     if not first_motion:
         raise division_error(source, "it has no DEF, END or motion", main.first)
     return CutPoints(main.first, main.last, np.array(cuts, dtype=np.int64), first_motion, declarations)
@@ -122,7 +124,8 @@ def part_bounds(
 ) -> tuple[list[int], list[Issue]]:
     """Return the first line of each part, then the line of END; and warnings about parts that are too long.
 
-    Lines before the first part stay in the main program.
+    A part is the piece of the main routine that becomes a file of its own. Lines before the first part stay in the main
+    program, which calls the parts.
 
     :param base: beginning of the names of the files.
     :param limit: largest number of lines of a file.

@@ -36,8 +36,9 @@ class _Pieces(NamedTuple):
 class Replacements(Struct, eq=False):
     """Pieces of a text to be replaced, in any order; they must not overlap.
 
-    Insertions at one offset keep the order in which they were added. In an execution trace, a piece is within the line
-    of one row, and its offsets count in the file of this row; in a plain text, the row is 0.
+    Insertions at one offset keep the order in which they were added. In an execution trace (the lines of a program in
+    execution order), a piece is within the line of one row, and its offsets count in the file of this row; in a plain
+    text, the row is 0.
 
     The first five fields have one array for each number of decimals in each call of `add_numbers`.
 
@@ -58,7 +59,7 @@ class Replacements(Struct, eq=False):
     def add(self, start: int, stop: int, text: str, row: int = 0) -> None:
         """Add the replacement of ``text[start:stop]`` by another text; ``start == stop`` inserts.
 
-        :param row: row of the execution trace that contains the piece; 0 in a plain text.
+        :param row: row of the execution trace (line in execution order) that contains the piece; 0 in a plain text.
         """
         self._text_pieces.append((start, stop, text))
         self._text_rows.append(row)
@@ -69,7 +70,7 @@ class Replacements(Struct, eq=False):
         :param starts: (n,) offsets of the pieces; `stops` (n,) the offsets behind them.
         :param values: (n,) the numbers.
         :param decimals: (n,) number of decimals of each.
-        :param rows: (n,) rows of the execution trace that contain the pieces; 0 in a plain text.
+        :param rows: (n,) rows of the execution trace (lines in execution order) with the pieces; 0 in a plain text.
         """
         for decimal_count in distinct(decimals).tolist():
             pieces = np.flatnonzero(decimals == decimal_count)
@@ -82,13 +83,13 @@ class Replacements(Struct, eq=False):
             self._numbers.append(digits[has_digit])
 
     def rows(self) -> Ints:
-        """Return the rows (n,) that have pieces, ascending."""
+        """Return the rows (n,) of the execution trace that have pieces to be replaced, ascending, each once."""
         return distinct(np.concatenate([*self._rows, np.array(self._text_rows, dtype=np.int64)]))
 
     def shifted(self, shifts: Callable[[Ints], Ints]) -> Replacements:
         """Return these replacements for a text in which the lines of the rows follow each other.
 
-        :param shifts: rows (n,) → distances (n,) from offsets in the files of the rows to offsets in this text.
+        :param shifts: rows (n,) → what is added (n,) to offsets in their files, to get offsets in this text.
         """
         row_shifts = [shifts(rows) for rows in self._rows]
         starts = [start + shift for start, shift in zip(self._starts, row_shifts, strict=True)]
@@ -111,8 +112,9 @@ class Replacements(Struct, eq=False):
         """
         starts, stops, lengths = self._pieces()
         order = np.argsort(starts, kind="stable")
-        growth = (lengths - (stops - starts))[order]
+        growth = (lengths - (stops - starts))[order]  # of the text by each replacement
         preceding_growth = np.append(0, np.cumsum(growth, dtype=np.int64))  # of the pieces before each, then of all
+        # left: a piece that begins at an offset does not precede it
         return np.asarray(offsets + preceding_growth[np.searchsorted(starts[order], offsets, side="left")])
 
     def _pieces(self) -> _Pieces:
@@ -129,7 +131,7 @@ class Replacements(Struct, eq=False):
     def apply(self, text: str, count: int = _PIECES) -> str:
         """Return the text with all pieces replaced.
 
-        :param count: number of pieces that are replaced at once.
+        :param count: number of pieces that are replaced at once; it limits the memory.
         """
         if not self:
             return text
@@ -185,65 +187,69 @@ def _replace_pieces(text: Codes, starts: Ints, stops: Ints, pieces: Codes, begin
 
 
 class InsertedLines(Struct, eq=False):
-    """Collects lines that are inserted and removed. Lines are given as 1-based rows of the trace.
+    """Collects lines that are inserted into an execution trace, the lines of a program in execution order, or removed.
+
+    Rows of the trace count from 1.
 
     :ivar replacements: gets the insertions and removals.
-    :ivar _insertion_lines: for each inserted line, the line before which it is inserted.
+    :ivar _insertion_rows: for each inserted line, the row before which it is inserted.
     :ivar _inserted_targets: the target on each inserted line; −1 for none.
-    :ivar _removed_lines: lines that are removed.
+    :ivar _removed_rows: rows whose lines are removed.
     """
 
     trace: Trace
     replacements: Replacements
-    _insertion_lines: list[int] = []
+    _insertion_rows: list[int] = []
     _inserted_targets: list[int] = []
-    _removed_lines: list[int] = []
+    _removed_rows: list[int] = []
 
-    def add(self, next_line: int, text: str, target: int = -1) -> None:
-        """Insert a text with its line end before a line, behind texts that are already inserted before it.
+    def add(self, next_row: int, text: str, target: int = -1) -> None:
+        """Insert a text with its line end before a row of the trace, behind texts that are already inserted there.
 
         :param target: index of the target on the new line; −1 if there is none.
         """
-        source, line = self.trace.place(next_line)
+        source, line = self.trace.place(next_row)
         offset = source.starts.item(line - 1)
-        self.replacements.add(offset, offset, text, next_line)
-        self._insertion_lines.append(next_line)
+        self.replacements.add(offset, offset, text, next_row)
+        self._insertion_rows.append(next_row)
         self._inserted_targets.append(target)
 
-    def insert_behind(self, line: int, text: str) -> None:
-        """Insert a text without line end as a line behind line `line`.
+    def insert_behind(self, row: int, text: str) -> None:
+        """Insert a text without line end as a line behind a row of the trace.
 
-        It precedes texts that `add` inserts before the next line. The line end of `line` is repeated.
+        It precedes texts that `add` inserts before the next row. The line end of the row is repeated.
         """
-        source, number = self.trace.place(line)
-        stop = source.stops.item(number - 1)
-        line_end = source.text[stop : source.starts[number]]  # `number` counts from 1: starts[number] is the next line
-        self.replacements.add(stop, stop, line_end + text, line)
-        self._insertion_lines.append(line + 1)
+        source, line = self.trace.place(row)
+        stop = source.stops.item(line - 1)
+        line_end = source.text[
+            stop : source.starts[line]
+        ]  # `line` counts from 1: starts[line] is that of the next line
+        self.replacements.add(stop, stop, line_end + text, row)
+        self._insertion_rows.append(row + 1)
         self._inserted_targets.append(-1)
 
-    def move_line(self, line: int, next_line: int, text: str) -> None:
-        """Remove line `line`, and insert a text with its line end before line `next_line`."""
-        source, number = self.trace.place(line)
-        self.replacements.add(source.starts.item(number - 1), source.starts.item(number), "", line)
-        self._removed_lines.append(line)
-        self.add(next_line, text)
+    def move_line(self, row: int, next_row: int, text: str) -> None:
+        """Remove the line of a row of the trace, and insert a text with its line end before row `next_row`."""
+        source, line = self.trace.place(row)
+        self.replacements.add(source.starts.item(line - 1), source.starts.item(line), "", row)
+        self._removed_rows.append(row)
+        self.add(next_row, text)
 
-    def output_lines(self, line: Ints) -> Ints:
-        """Return the lines (K,) of K targets in the written text.
+    def output_lines(self, rows: Ints) -> Ints:
+        """Return the lines (K,) of K targets in the trace as it is written, with inserted and without removed lines.
 
         A line moves down by the number of lines inserted before it, and up by the number of lines removed before it.
 
-        :param line: (K,) lines on which the targets were; for inserted targets any number, which is replaced.
+        :param rows: (K,) rows on which the targets were; for inserted targets any number, which is replaced.
         """
-        order = np.argsort(self._insertion_lines, kind="stable")
-        insertion_lines = np.array(self._insertion_lines, dtype=np.int64)[order]
+        order = np.argsort(self._insertion_rows, kind="stable")
+        insertion_rows = np.array(self._insertion_rows, dtype=np.int64)[order]
         inserted_targets = np.array(self._inserted_targets, dtype=np.int64)[order]
-        removed_lines = np.sort(np.array(self._removed_lines, dtype=np.int64))
-        # an insertion before a line moves the line itself: side="right"
-        output_line = line + np.searchsorted(insertion_lines, line, side="right") - np.searchsorted(removed_lines, line)
+        removed_rows = np.sort(np.array(self._removed_rows, dtype=np.int64))
+        # an insertion before a row moves the row itself: side="right"
+        output_line = rows + np.searchsorted(insertion_rows, rows, side="right") - np.searchsorted(removed_rows, rows)
         # insertions are sorted: insertion n, from 0, has n inserted lines before it
         insertions = np.flatnonzero(inserted_targets >= 0)
-        next_lines = insertion_lines[insertions]
-        output_line[inserted_targets[insertions]] = next_lines + insertions - np.searchsorted(removed_lines, next_lines)
+        next_rows = insertion_rows[insertions]
+        output_line[inserted_targets[insertions]] = next_rows + insertions - np.searchsorted(removed_rows, next_rows)
         return np.asarray(output_line)

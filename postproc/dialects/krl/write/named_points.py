@@ -27,22 +27,24 @@ from postproc.errors import Issue
 from postproc.program import Bools, Ints, Motions
 
 Mentions = Mapping[str, Sequence[tuple[int, int]]]
-"""Variable, upper case → (row of the trace, offset) of each occurrence of its name in code."""
+"""Variable, upper case → (row of the trace, offset) of each occurrence of its name in code.
+
+The trace: the lines of a program in execution order; an offset counts in the file of the line."""
 _TextPlace = tuple[Source, int, int]
-"""Place of an aggregate: file, row of the trace (0 in a data list), and offset."""
+"""Place of an aggregate: file, row of the trace (0 in a data list), and offset in the file."""
 
 
 class Use(Struct, frozen=True, eq=False):
     """A named point in a statement.
 
-    :param line: 1-based row of the execution trace.
+    :param trace_row: 1-based row of the execution trace (line in execution order) with the statement.
     :param operand: the point in the statement.
     :param texts: component → number to be commanded; None if the point is not corrected in this statement.
     :param complete_literal: returns the target as a literal with all components, for statements in which no new point
         can be named.
     """
 
-    line: int
+    trace_row: int
     operand: Point
     texts: Mapping[str, str] | None
     complete_literal: Callable[[], str]
@@ -51,7 +53,9 @@ class Use(Struct, frozen=True, eq=False):
 class NamedPoints(Struct, eq=False):
     """Collects the uses of named points and decides where their numbers go.
 
-    :ivar sources: the `.src` and, if there is one, its `.dat`.
+    A named point is a variable with the numbers of a target, such as XP1 of ``LIN XP1``; they are in its declaration.
+
+    :ivar sources: the files that are written: the `.src` and, if there is one, its `.dat`.
     :ivar replacements: edits of each of these files.
     :ivar mentions: all places at which code names a variable, see `Mentions`.
     :ivar issues: information for the user.
@@ -78,7 +82,10 @@ class NamedPoints(Struct, eq=False):
             self._replace_by_literal(use)
 
     def make_edits(self) -> None:
-        """Correct each point: in its declaration if all uses allow it, otherwise by new points or literals."""
+        """Correct each point: in its declaration if all uses allow it, otherwise by new points or literals.
+
+        A literal is the point written as numbers in the statement: ``{X 1,Y 2,…}``.
+        """
         for uses in self._uses.values():
             corrected_uses = [use for use in uses if use.texts is not None]
             aggregate = uses[0].operand.position.aggregate
@@ -100,6 +107,7 @@ class NamedPoints(Struct, eq=False):
         """
         name = uses[0].operand.name
         has_one_correction = all(use.texts == uses[0].texts and use.operand.name == name for use in uses)
+        # row > 0: a line of the program assigns it; other files than `sources` are read only
         is_written = aggregate.row > 0 or aggregate.source.index < len(self.sources)
         return has_one_correction and is_written and self._is_used_by_motions_only(name)
 
@@ -115,8 +123,8 @@ class NamedPoints(Struct, eq=False):
         :param use: any of the corrected uses: all have the same numbers.
         :param aggregate: value of the point in its declaration.
         """
-        # a point that the program text assigns has a row, and changes in the replacements of the rows
-        edits = self.replacements[0 if aggregate.row else aggregate.source.index]
+        # a point that a line of the program assigns has a row of the trace, whose edits are the first
+        edits = self.replacements[0 if aggregate.row > 0 else aggregate.source.index]
         for piece in replaced_numbers(literal_of(aggregate), use.texts or {}):
             edits.add(*piece, aggregate.row)
 
@@ -129,9 +137,9 @@ class NamedPoints(Struct, eq=False):
         :param uses: the corrected uses.
         :param aggregate: value of the old point in its declaration.
         """
-        names: dict[str, str] = {}
+        names: dict[str, str] = {}  # value of a new point, as literal → its name
         for use in uses:
-            source = self.layout.execution.trace.source(use.line)
+            source = self.layout.execution.trace.source(use.trace_row)
             text = source.text[use.operand.start : use.operand.stop]
             is_out_of_scope = source is not self.sources[0]  # other files do not see names of this `.dat`
             is_copy = any(use.operand.name in pair for pair in self.layout.copies)
@@ -143,12 +151,12 @@ class NamedPoints(Struct, eq=False):
             literal = edited_literal(literal_of(aggregate), replaced_numbers(literal_of(aggregate), use.texts or {}))
             if literal not in names:
                 names[literal] = self._declare_point(text, literal, aggregate)
-            self.replacements[0].add(use.operand.start, use.operand.stop, names[literal], use.line)
+            self.replacements[0].add(use.operand.start, use.operand.stop, names[literal], use.trace_row)
             message = (
                 f"{text} is also used otherwise: this motion uses the new point {names[literal]} of the .dat. "
                 "The text of an inline form still names the old point."
             )
-            self.issues.append(Issue("info", "new-point", message, use.line))
+            self.issues.append(Issue("info", "new-point", message, use.trace_row))
 
     def _declare_point(self, name: str, literal: str, aggregate: Aggregate) -> str:
         """Declare a new point behind the declaration of an old point; return the new name.
@@ -173,22 +181,23 @@ class NamedPoints(Struct, eq=False):
 
     def _replace_by_literal(self, use: Use) -> None:
         """Replace the point in a statement by a literal with the numbers of its target; add an issue."""
-        self.replacements[0].add(use.operand.start, use.operand.stop, use.complete_literal(), use.line)
+        self.replacements[0].add(use.operand.start, use.operand.stop, use.complete_literal(), use.trace_row)
         message = "A point that is computed, or that something else uses too, is replaced by numbers in the statement."
-        self.issues.append(Issue("info", "point-replaced", message, use.line))
+        self.issues.append(Issue("info", "point-replaced", message, use.trace_row))
 
 
 def mentions(execution: Execution, plain_rows: Ints) -> Mentions:
     """Return the places at which code names each variable: name, upper case → (row of the trace, offset).
 
-    Routines that must stay unchanged are searched a second time, with row 0: the reader follows no use in them.
+    The trace has the lines in execution order. Routines that calls reach which are not followed must stay unchanged.
+    They are searched a second time, with row 0: a use that the reader has not followed.
 
-    :param plain_rows: rows that name no points; they are skipped.
+    :param plain_rows: rows of the trace that name no points; they are skipped.
     """
     trace, places = execution.trace, defaultdict[str, list[tuple[int, int]]](list)
-    is_left_out = trace.is_counter_row.copy()
+    is_left_out = trace.is_counter_row.copy()  # rows that set the counter of a FOR are in no file
     is_left_out[plain_rows - 1] = True
-    names: dict[Place, list[tuple[str, int]]] = {}
+    names: dict[Place, list[tuple[str, int]]] = {}  # of lines that were searched: names and offsets
     for row in (np.flatnonzero(~is_left_out) + 1).tolist():
         place = trace.place(row)
         if place not in names:
@@ -215,7 +224,8 @@ def _text_place(aggregate: Aggregate) -> _TextPlace:
 def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bool:
     """Return whether only motions use the values of a variable, so that the values may change.
 
-    The same must be true of all variables that it is copied to or from, and none of them may be GLOBAL.
+    A variable that anything else uses, such as a computation or a branch, must keep its values. The same must be true
+    of all variables that it is copied to or from, and none of them may be GLOBAL.
 
     :param name: the variable, upper case.
     :param mentions: all places at which code names a variable, see `Mentions`.
@@ -233,9 +243,9 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
 def editable_layout(
     layout: Layout, motions: Motions, mentions: Mentions, file_count: int, has_one_target: Bools
 ) -> Layout:
-    """Return the layout without `elements` whose numbers cannot be edited in their declaration.
+    """Return the layout without array elements (`elements`) whose numbers cannot be edited in their declaration.
 
-    Motions to these array elements become `statements`.
+    Motions to them become `statements`, whose points `NamedPoints` corrects one by one.
 
     :param mentions: all places at which code names a variable, see `Mentions`.
     :param file_count: number of files that are written: the `.src` and its `.dat`.
@@ -248,7 +258,7 @@ def editable_layout(
     for elements in layout.elements:  # of one array
         is_array_editable = (
             elements.source.index < file_count  # the file of its declaration is written
-            and layout.carriage is None
+            and layout.carriage is None  # the spans of array elements lack E1
             and is_used_by_motions_only(elements.name, layout, mentions)
         )
         is_single_use = np.array([use_counts[place] == 1 for place in _element_places(elements)], np.bool_)

@@ -85,8 +85,10 @@ class _Rewriter:
         other targets are inserted lines.
     :ivar documents: files that are written: for a program in several files, the joined text.
     :ivar sources: the `.src` and, if there is one, its `.dat`.
-    :ivar replacements: edits of each of `sources`; those of the `.src` are edits of the trace.
-    :ivar comment_lines: rows of the trace with force comments.
+    :ivar replacements: edits of each of `sources`. Those of the `.src`, the first, belong to rows of the trace: a line
+        that runs several times may get several texts.
+    :ivar trace: the lines of the program in execution order, with loops unrolled and called routines inlined.
+    :ivar comment_rows: rows of the trace with force comments.
     """
 
     def __init__(self, program: Program, layout: Layout, targets: Targets, comment_forces: TargetForces | None) -> None:
@@ -94,10 +96,11 @@ class _Rewriter:
         self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.documents = layout.documents or program.documents
         stem = PurePath(self.documents[0].name).stem.upper()
+        # the `.dat` has the name of the program; other documents are files of its subprograms
         data = [document for document in self.documents[1:] if PurePath(document.name).stem.upper() == stem]
         self.trace = layout.execution.trace
         self.sources = [layout.execution.main.source, *(Source.of(document, DAT) for document in data)]
-        self.comment_lines = set(layout.notes)
+        self.comment_rows = set(layout.notes)
         self.replacements = [Replacements() for _ in self.sources]
         self.issues: list[Issue] = []
         self.motion_of_target = targets.motion
@@ -112,8 +115,9 @@ class _Rewriter:
 
         :raises ValueError: a number is too large to be written.
         """
-        if (self.is_last & self.targets.keep).all() and not len(_lowered_motions(self.program)):
-            return WrittenProgram(self.documents, self.program.motions.line[self.motion_of_target], "krl")
+        is_unchanged = bool((self.is_last & self.targets.keep).all())  # each motion has one target: that of its text
+        if is_unchanged and not len(_lowered_motions(self.program)):
+            return WrittenProgram(self.documents, self.program.motions.line[self.motion_of_target], dialect="krl")
         self.target_numbers = target_numbers(self.layout, self.targets)
         self.mentions = self._mentions_of_points()
         self.layout = editable_layout(
@@ -126,7 +130,7 @@ class _Rewriter:
             self._rewrite_statements()
         output_line = self._insert_lines()
         documents, output_line = self._edited_files(output_line)
-        return WrittenProgram(documents, output_line, "krl", group_issues(self.issues))
+        return WrittenProgram(documents, output_line, dialect="krl", issues=group_issues(self.issues))
 
     def _mentions_of_points(self) -> Mentions:
         """Return the places at which code names variables, see `mentions`; empty if no motion names a point."""
@@ -144,7 +148,10 @@ class _Rewriter:
         return np.asarray(~self.targets.keep & is_circle & (self.targets.kind == LIN))
 
     def _rewrite_plain_lines(self) -> None:
-        """Edit the motions that are not in `statements` of the layout: plain lines, and motions to array elements."""
+        """Edit the motions that are not in `statements` of the layout: plain lines, and motions to array elements.
+
+        A plain line has all its numbers in the text. A circle that is straightened becomes a line.
+        """
         is_statement = np.zeros(len(self.program.motions), dtype=np.bool_)
         is_statement[list(self.layout.statements)] = True
         is_plain, is_straightened = self.is_last & ~is_statement[self.motion_of_target], self._is_straightened()
@@ -171,31 +178,31 @@ class _Rewriter:
             if tail != self.layout.source(motion).text[start:stop]:
                 self._replace_text(motion, Replacement(start, stop, tail))
 
-    def _edited_files(self, line: Ints) -> tuple[tuple[Document, ...], Ints]:
+    def _edited_files(self, trace_lines: Ints) -> tuple[tuple[Document, ...], Ints]:
         """Return the files with all edits, and the lines (K,) of the targets in the `.src`.
 
-        Targets in other files have the line of the call. Issues about rows of the trace get lines of the `.src`.
+        Targets in other files have the line of the call. Issues about rows of the trace (lines in execution order) get
+        lines of the `.src`.
 
-        :param line: (K,) lines of the targets in the corrected execution trace.
+        :param trace_lines: (K,) lines of the targets in the corrected trace, with all lines that are inserted into it.
         """
         execution, changes = self.layout.execution, self.replacements[0]
         files = {document.name: document for document in self.documents}
         for source, edits in zip(self.sources[1:], self.replacements[1:], strict=True):
             files[source.document.name] = replace(source.document, text=edits.apply(source.text))
-        if execution.is_straight:
+        if execution.is_straight:  # rows of the trace are lines of the `.src`
             main = self.documents[0]
             files[main.name] = replace(main, text=changes.apply(self.sources[0].text))
-            return tuple(files.values()), line
+            return tuple(files.values()), trace_lines
         new_rows = edited_rows(self.trace, changes)
         folded_program = fold(execution, execution.main, new_rows)
         files |= {document.name: document for document in folded_program.documents}
         self.issues = [*map(self._with_reported_line, self.issues), *folded_program.issues]
-        trace_row = self.layout.trace_row[self.motion_of_target]
-        # number of lines between the first line of the corrected row of the motion and the line of the target
-        following_count = line - (new_rows.begins[trace_row - 1] + 1)
-        return tuple(files.values()), folded_program.line[trace_row] + np.where(
-            folded_program.is_in_main[trace_row], following_count, 0
-        )
+        trace_row = self.layout.trace_row[self.motion_of_target]  # of the motion of each target
+        # lines from the first line that is written for this row to the line of the target
+        offset_in_row = trace_lines - (new_rows.begins[trace_row - 1] + 1)
+        output_line = folded_program.line[trace_row] + np.where(folded_program.is_in_main[trace_row], offset_in_row, 0)
+        return tuple(files.values()), output_line
 
     def _with_reported_line(self, issue: Issue) -> Issue:
         """Return an issue with the line of the `.src` to report for its row of the trace; unchanged without a row."""
@@ -211,7 +218,10 @@ class _Rewriter:
         return has_one_target
 
     def _needs_components(self) -> Bools:
-        """Return whether a target (K,) needs missing components; for kept targets, any printed component."""
+        """Return whether a target (K,) must get components (X … C) that the text of its motion lacks.
+
+        Of kept targets, only such components are printed.
+        """
         gets_component = self.target_numbers.is_printed & self.layout.is_missing[self.motion_of_target]
         return np.asarray(gets_component.any(axis=1) | (self.targets.keep & self.target_numbers.is_printed.any(axis=1)))
 
@@ -221,7 +231,7 @@ class _Rewriter:
         return np.asarray(has_bits & (self.targets.kind == PTP) & ~self.targets.keep)
 
     def _replace_text(self, motion: int, piece: Replacement) -> None:
-        """Replace a piece of the line of a motion."""
+        """Replace a piece of the line of a motion; a line that runs several times is edited for this run alone."""
         self.replacements[0].add(*piece, self.layout.trace_row.item(motion))
 
     def _replace_numbers(self, changed_targets: Ints) -> None:
@@ -229,11 +239,12 @@ class _Rewriter:
 
         :param changed_targets: (n,) targets whose numbers change, each in the statement of its motion.
         """
-        file = np.zeros(len(self.program.motions), dtype=np.int32)  # that contains the numbers: 0 is the `.src`
+        # file that contains the numbers of each motion, as index in `sources`: 0 is the `.src`
+        file = np.zeros(len(self.program.motions), dtype=np.int32)
         for elements in self.layout.elements:
             file[elements.row] = elements.source.index
-        for part in chunks(len(changed_targets)):
-            targets = changed_targets[part]
+        for chunk in chunks(len(changed_targets)):  # limits the memory of the offsets
+            targets = changed_targets[chunk]
             # (n, 6) offsets of X … C; −1 where the text lacks a component
             starts, stops = np.moveaxis(
                 self.layout.spans(self.motion_of_target[targets], slice(6)).astype(np.int64), 2, 0
@@ -252,6 +263,7 @@ class _Rewriter:
 
         :param circles: (n,) targets that end these circles.
         """
+        # (3 n, 2): X, Y, Z of one circle after those of another
         spans = self.layout.via_spans[self.motion_of_target[circles]].astype(np.int64).reshape(-1, 2)
         decimals = np.tile(DECIMALS[:3], len(circles))
         numbers, rows = (
@@ -291,7 +303,9 @@ class _Rewriter:
         self.issues += points.issues
 
     def _rewrite_statement(self, motion: int, target: int, move: MotionStatement, points: NamedPoints) -> None:
-        """Edit the statement of a motion; add its uses of named points, also unchanged ones, to `points`.
+        """Edit the statement of a motion; add its uses of named points to `points`.
+
+        Uses that stay as they are count too: they decide whether the declaration of a point may change.
 
         :param motion: the motion.
         :param target: its last target.
@@ -309,18 +323,29 @@ class _Rewriter:
             message = "CA is dropped: the end point is written as where the arc ends."
             self._report("angle-dropped", message, move.trace_row)
         texts = self.statements.end_texts(target, move.end, includes_unchanged=needs_all_numbers) if differs else None
-        self._rewrite_point(
-            Use(move.trace_row, move.end, texts, partial(self.statements.whole_literal, target, move.end)), points
+        end_use = Use(
+            trace_row=move.trace_row,
+            operand=move.end,
+            texts=texts,
+            complete_literal=partial(self.statements.whole_literal, target, move.end),
         )
+        self._rewrite_point(end_use, points)
         if move.via is not None:
             # empty if the target has no auxiliary point: that of the statement stays
-            via = self.target_numbers.via_texts(target)
-            self._rewrite_point(
-                Use(move.trace_row, move.via, (via or None) if differs else None, partial(aggregate_text, via)), points
+            via_texts = self.target_numbers.via_texts(target)
+            via_use = Use(
+                trace_row=move.trace_row,
+                operand=move.via,
+                texts=(via_texts or None) if differs else None,
+                complete_literal=partial(aggregate_text, via_texts),
             )
+            self._rewrite_point(via_use, points)
 
     def _has_other_path(self, motion: int, target: int, move: MotionStatement) -> bool:
         """Return whether the unchanged statement would be another path, since its motion begins at another point.
+
+        So it is with relative targets, circles with CA, and auxiliary points that are stated in part: they count from
+        the start. The arc of any circle changes if inserted targets divide it.
 
         :param motion: the motion.
         :param target: its last target.
@@ -354,51 +379,52 @@ class _Rewriter:
             points.add_use(use)
         elif use.texts:
             for piece in replaced_numbers(literal, use.texts):
-                self.replacements[0].add(*piece, use.line)
+                self.replacements[0].add(*piece, use.trace_row)
 
     def _insert_lines(self) -> Ints:
-        """Insert lines for targets, force comments and settings; return the new line (K,) of each target."""
-        line = self.layout.trace_row[self.motion_of_target]
+        """Insert lines for targets, force comments and settings; return the new line (K,) of each target.
+
+        Lines are inserted into the trace: the lines of the program in execution order.
+        """
+        rows = self.layout.trace_row[self.motion_of_target]  # of the motions of the targets
         lines = InsertedLines(self.trace, self.replacements[0])
-        following_line, moved_triggers = self._place_triggers()
-        forces = self._missing_force_comments(line, following_line)
+        following_row, moved_triggers = self._place_triggers()
+        forces = self._missing_force_comments(rows, following_row)
         free_targets, reset_targets = self._free_orientation_spans()
         lowering_feeds, restoring_feeds = self._feed_statements()
         affected_targets = [*moved_triggers, *forces, *free_targets, *reset_targets, *lowering_feeds, *restoring_feeds]
-        for target in np.flatnonzero(~self.is_last | np.isin(np.arange(len(line)), affected_targets)).tolist():
-            motion, motion_line = int(self.motion_of_target[target]), int(line[target])
-            next_line, indent, line_end = (
-                following_line.get(target, motion_line),
-                self._indent(target),
-                self.statements.line_end(motion),
-            )
+        for target in np.flatnonzero(~self.is_last | np.isin(np.arange(len(rows)), affected_targets)).tolist():
+            motion, motion_row = int(self.motion_of_target[target]), int(rows[target])
+            next_row = following_row.get(target, motion_row)  # before which its lines are inserted
+            indent, line_end = self._indent(target), self.statements.line_end(motion)
             if target in lowering_feeds:
-                lines.add(next_line, indent + lowering_feeds[target] + line_end)
+                lines.add(next_row, indent + lowering_feeds[target] + line_end)
             if target in free_targets:
-                lines.add(next_line, indent + ORIENTATION_SETTING + FREE + line_end)
+                lines.add(next_row, indent + ORIENTATION_SETTING + FREE + line_end)
             for trigger, text in moved_triggers.get(target, ()):
-                lines.move_line(trigger.trace_row, next_line, text)
+                lines.move_line(trigger.trace_row, next_row, text)
             if target in forces and not self._replace_comment(target, forces[target]):
-                lines.add(next_line, forces[target] + line_end)
-            if not self.is_last[target]:
-                self._insert_target(target, next_line, lines)
+                lines.add(next_row, forces[target] + line_end)
+            if not self.is_last[target]:  # the last target is in the statement of the motion itself
+                self._insert_target(target, next_row, lines)
             if target in reset_targets:
                 lines.insert_behind(
-                    motion_line, indent + ORIENTATION_SETTING + ORIENTATIONS[self.layout.orientation[motion]]
+                    motion_row, indent + ORIENTATION_SETTING + ORIENTATIONS[self.layout.orientation[motion]]
                 )
             if target in restoring_feeds:
-                lines.insert_behind(motion_line, indent + restoring_feeds[target])
-        return lines.output_lines(line)
+                lines.insert_behind(motion_row, indent + restoring_feeds[target])
+        return lines.output_lines(rows)
 
-    def _insert_target(self, target: int, next_line: int, lines: InsertedLines) -> None:
+    def _insert_target(self, target: int, next_row: int, lines: InsertedLines) -> None:
         """Insert a target as a motion; add an issue if the robot stops at it.
 
-        :param next_line: row of the trace before which the new line is inserted.
+        :param next_row: row of the trace (line in execution order) before which the new line is inserted.
         :param lines: collects the new line.
         """
         motion = int(self.motion_of_target[target])
         text = self.statements.inserted_line(motion, target)
-        lines.add(next_line, text, target)
+        lines.add(next_row, text, target)
+        # in a spline block the robot passes all targets without stopping
         if not self.layout.is_in_spline_block[motion] and not is_approximated(text):
             reason = _BLENDED_STOP if self.layout.is_distance_known[motion] else _UNKNOWN_DISTANCE
             self._report("stop-inserted", reason, self.layout.trace_row.item(motion))
@@ -406,20 +432,18 @@ class _Rewriter:
     def _free_orientation_spans(self) -> tuple[set[int], set[int]]:
         """Return the targets before which `$ORI_TYPE` is set to #VAR, and the targets behind which it is reset.
 
-        Consecutive motions share these two lines. Spline motions have the setting in WITH and are left out.
+        A motion needs #VAR if it turns the tool to an orientation that its own `$ORI_TYPE` would not reach. Consecutive
+        motions share the two lines. Spline motions have the setting in WITH and are left out.
         """
         rows = np.flatnonzero(self.target_numbers.is_free)
-        pairs = consecutive_motions(
-            self.layout, rows[[not self.statements.is_spline(motion) for motion in rows.tolist()]]
-        )
+        is_ordinary = [not self.statements.is_spline(motion) for motion in rows.tolist()]
+        pairs = consecutive_motions(self.layout, rows[is_ordinary])
         # first and last motions; reshape: there may be no pairs
         first, last = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-        # first target of the first motion, last target of the last motion of each run: motions of targets ascend
-        begins, ends = (
-            np.searchsorted(self.motion_of_target, first),
-            np.searchsorted(self.motion_of_target, last, side="right") - 1,
-        )
-        return set(begins.tolist()), set(ends.tolist())
+        # motions of targets ascend: first target of the first motion, and last target of the last motion, of each run
+        first_targets = np.searchsorted(self.motion_of_target, first)
+        last_targets = np.searchsorted(self.motion_of_target, last, side="right") - 1
+        return set(first_targets.tolist()), set(last_targets.tolist())
 
     def _feed_statements(self) -> tuple[dict[int, str], dict[int, str]]:
         """Return the statements that set lowered feeds, and the statements that restore the feeds.
@@ -432,7 +456,7 @@ class _Rewriter:
         rows = _lowered_motions(self.program)
         if feed_as_read is None or not len(rows):
             return {}, {}
-        # between two lowered motions on consecutive lines the feed is not restored
+        # between two lowered motions on consecutive lines the feed of the program is not restored
         is_continued = (np.diff(rows) == 1) & (np.diff(self.layout.trace_row[rows]) == 1)
         has_same_feed = np.append(False, is_continued & (np.diff(feed[rows]) == 0.0))
         lowering_rows, restoring_rows = rows[~has_same_feed], rows[np.append(~is_continued, True)]
@@ -448,45 +472,48 @@ class _Rewriter:
         """Return the text before the instruction on the line of the motion of a target."""
         return self.statements.indent(int(self.motion_of_target[target]))
 
-    def _missing_force_comments(self, line: Ints, following_line: Mapping[int, int]) -> dict[int, str]:
+    def _missing_force_comments(self, rows: Ints, following_row: Mapping[int, int]) -> dict[int, str]:
         """Return the force comments that the program lacks: target → comment; empty without `comment_forces`.
 
-        :param line: (K,) rows of the trace with the motions of the targets.
-        :param following_line: target → row before which it is inserted, if that is not the row of its motion.
+        :param rows: (K,) rows of the trace (the lines in execution order) with the motions of the targets.
+        :param following_row: target → row before which it is inserted, if that is not the row of its motion.
         """
         if self.comment_forces is None:
             return {}
-        # comments before `limit_line` apply to the target: a comment on the line of a motion applies to its last
+        # comments before `limit_row` apply to the target: a comment on the line of a motion applies to its last
         # target, but not to the targets inserted before it
-        limit_line = line + self.is_last
-        limit_line[list(following_line)] = list(following_line.values())
-        note = np.searchsorted(self.layout.notes, limit_line) - 1  # the last comment that applies; −1: none
+        limit_row = rows + self.is_last
+        limit_row[list(following_row)] = list(following_row.values())
+        note = np.searchsorted(self.layout.notes, limit_row) - 1  # the last comment that applies; −1: none
         # start=0.0: no force acts before the first comment
         needs_comments = needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, start=0.0)
         needs_comments[self._targets_behind_releases(note)] = True
-        rows = np.flatnonzero(needs_comments)
-        return dict(zip(rows.tolist(), texts(b";", self.comment_forces, rows), strict=True))
+        targets = np.flatnonzero(needs_comments)
+        return dict(zip(targets.tolist(), texts(b";", self.comment_forces, targets), strict=True))
 
     def _targets_behind_releases(self, note: Ints) -> list[int]:
-        """Return the targets behind a branch or a join whose force the text does not state, though `notes` does.
+        """Return the targets where branches begin or meet that need a comment since the force before was released.
 
-        The reader restates the acting force there. Before a wait the written program has ended it.
+        Where branches begin or meet, the reader adds a note with the force that acts on, which the text need not state.
+        But before a wait the written program states force 0. The force must then be stated again behind the wait.
 
-        :param note: (K,) index of the last note that applies to each target; −1: none.
+        :param note: (K,) index in `notes` of the last note that applies to each target; −1: none.
         """
-        motion, notes, after = self.motion_of_target, self.program.notes, self.program.after
-        if after is None or self.comment_forces is None:
+        motion, notes, predecessors = self.motion_of_target, self.program.notes, self.program.after
+        if predecessors is None or self.comment_forces is None:  # no branches, or no comments to be written
             return []
-        end_target = np.full(len(self.program.motions) + 1, -1)
-        end_target[motion[self.is_last]] = np.flatnonzero(self.is_last)
-        is_restated = np.array([*(comment.is_restated for comment in notes), False])  # −1, no note, is the last
-        rows = np.flatnonzero((np.diff(note, prepend=-1) != 0) & (np.diff(motion, prepend=-1) != 0) & is_restated[note])
+        last_target = np.full(len(self.program.motions) + 1, -1)  # of each motion; −1 for motions without targets
+        last_target[motion[self.is_last]] = np.flatnonzero(self.is_last)
+        is_restated = np.array([*(comment.is_restated for comment in notes), False])  # index −1, no note, is the last
+        # the first targets of motions to which a note of the reader applies, and not to the target before
+        has_new_note, has_new_motion = np.diff(note, prepend=-1) != 0, np.diff(motion, prepend=-1) != 0
         targets = []
-        for target in rows.tolist():
-            previous = after.item(motion[target])
+        for target in np.flatnonzero(has_new_note & has_new_motion & is_restated[note]).tolist():
+            previous = predecessors.item(motion[target])
             while previous >= 0 and self.program.motions.kind[previous] == PTP:  # carries no force, and ends none
-                previous = after.item(previous) if after.item(previous) < previous else -1
-            end = int(end_target[previous])
+                # a motion whose start is not known is its own predecessor
+                previous = predecessors.item(previous) if predecessors.item(previous) < previous else -1
+            end = int(last_target[previous])  # −1 for `previous` −1 too: the last element
             has_force = end >= 0 and note[end] >= 0 and any(notes[note[end]].wrench)
             if has_force and not self.comment_forces.wrench[end : end + 1].any():
                 targets.append(target)
@@ -499,11 +526,11 @@ class _Rewriter:
 
         :param text: the new comment.
         """
-        line = int(self.layout.trace_row[self.motion_of_target[target]])
-        if not self.is_last[target] or line not in self.comment_lines:
+        row = int(self.layout.trace_row[self.motion_of_target[target]])  # of the trace: a line in execution order
+        if not self.is_last[target] or row not in self.comment_rows:
             return False
-        source, number = self.trace.place(line)
-        start, stop = source.starts.item(number - 1), source.stops.item(number - 1)
+        source, line = self.trace.place(row)
+        start, stop = source.starts.item(line - 1), source.stops.item(line - 1)
         self._replace_text(
             int(self.motion_of_target[target]), Replacement(comment_start(source.text, start, stop), stop, text)
         )
@@ -514,10 +541,10 @@ class _Rewriter:
 
         A TRIGGER that would switch at another place becomes an error in `issues`.
 
-        :returns: inserted target → row before which it is written; target → TRIGGERs that are moved before it, with
-            their text.
+        :returns: inserted target → row of the trace (line in execution order) before which it is written; target →
+            TRIGGERs that are moved before it, with their text.
         """
-        following_line: dict[int, int] = {}
+        following_row: dict[int, int] = {}
         moved_lines: dict[int, list[tuple[Trigger, str]]] = {}
         for motion, triggers in groupby(self.layout.triggers, attrgetter("motion")):
             first, stop = np.searchsorted(self.motion_of_target, [motion, motion + 1]).tolist()  # targets of the motion
@@ -527,7 +554,7 @@ class _Rewriter:
             placed_triggers = place_triggers(
                 tuple(triggers), self.layout.trace_row.item(motion), self.targets.t[first:stop], speed
             )
-            following_line |= dict(zip(range(first, stop - 1), placed_triggers.target_lines, strict=True))
+            following_row |= dict(zip(range(first, stop - 1), placed_triggers.target_rows, strict=True))
             for target, moved_triggers in enumerate(placed_triggers.moved_triggers, first):
                 if moved_triggers:
                     moved_lines[target] = [
@@ -538,7 +565,7 @@ class _Rewriter:
             self.issues += [
                 Issue("error", "trigger", _LOST_TRIGGER, trigger.trace_row) for trigger in placed_triggers.lost_triggers
             ]
-        return following_line, moved_lines
+        return following_row, moved_lines
 
     def _change_paths(self, placed_triggers: PlacedTriggers) -> None:
         """Change PATH of the TRIGGERs that stay on their lines."""
@@ -548,19 +575,20 @@ class _Rewriter:
                 self.replacements[0].add(*trigger.path_span, path, trigger.trace_row)
 
     def _trigger_line(self, trigger: Trigger, path: str | None) -> str:
-        """Return the line of a TRIGGER with its line end.
+        """Return the text of the line of a TRIGGER, with its line end.
 
         :param path: new number of PATH; None leaves it unchanged.
         """
         source, line = self.trace.place(trigger.trace_row)
+        # `starts` counts from 0: starts[line] is the beginning of the next line, at least that of END
         text, start, stop = source.text, source.starts[line - 1], source.starts[line]
         if path is None or trigger.path_span is None:
             return text[start:stop]
         return text[start : trigger.path_span[0]] + path + text[trigger.path_span[1] : stop]
 
-    def _report(self, kind: str, message: str, line: int) -> None:
-        """Add information about a row of the trace to `issues`."""
-        self.issues.append(Issue("info", kind, message, line))
+    def _report(self, kind: str, message: str, trace_row: int) -> None:
+        """Add information about a row of the trace to `issues`; `_edited_files` replaces the row by a line."""
+        self.issues.append(Issue("info", kind, message, trace_row))
 
 
 def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
@@ -572,8 +600,10 @@ def _feed_texts(targets: Ints, feeds: Array) -> dict[int, str]:
 
 def _lowered_motions(program: Program) -> Ints:
     """Return the motions (n,) whose feed was lowered after the program was read, ascending."""
-    as_read = program.feed_as_read
-    return np.flatnonzero(program.motions.feed < as_read) if as_read is not None else np.zeros(0, dtype=np.int64)
+    feed_as_read = program.feed_as_read
+    if feed_as_read is None:  # no feed was changed
+        return np.zeros(0, dtype=np.int64)
+    return np.flatnonzero(program.motions.feed < feed_as_read)
 
 
 def _check_lowered_feeds(program: Program, layout: Layout) -> None:

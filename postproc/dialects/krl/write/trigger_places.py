@@ -1,4 +1,4 @@
-"""Places of TRIGGER statements when inserted targets divide the motion that they refer to.
+"""Places of TRIGGER statements when inserted targets divide the motion that they refer to into pieces.
 
 A TRIGGER must be before the piece on which it switches; ``PATH`` then counts from the start or the end of this piece.
 """
@@ -20,6 +20,8 @@ _DISTANCE_TOLERANCE = 1e-6
 
 def piece_and_distance(trigger: Trigger, ends: Array, speed: float) -> tuple[int, float] | None:
     """Return the piece of a divided motion before which a TRIGGER must be, and its distance on this piece.
+
+    Inserted targets divide the motion into n pieces. A TRIGGER refers to the motion that follows it.
 
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: speed of the TCP [m/s].
@@ -47,46 +49,54 @@ def piece_and_distance(trigger: Trigger, ends: Array, speed: float) -> tuple[int
 
 
 class PlacedTriggers(Struct, frozen=True, eq=False):
-    """Lines of the TRIGGERs and of the inserted targets of one divided motion.
+    """Places of the TRIGGERs and of the inserted targets of one divided motion.
 
-    :param target_lines: for each inserted target, the 1-based line before which it is inserted.
+    :param target_rows: for each inserted target, the 1-based row of the trace (line in execution order) before which it
+        is inserted.
     :param moved_triggers: for each piece, the TRIGGERs that are moved to the line before it, in order.
     :param path_texts: TRIGGER whose PATH changes → its new number as text.
     :param lost_triggers: TRIGGERs that cannot switch at the same place on any piece.
     """
 
-    target_lines: list[int]
+    target_rows: list[int]
     moved_triggers: list[list[Trigger]]
     path_texts: dict[Trigger, str]
     lost_triggers: list[Trigger]
 
 
-def place_triggers(triggers: Sequence[Trigger], line: int, ends: Array, speed: float) -> PlacedTriggers:
-    """Return the lines of the TRIGGERs of one divided motion and of the targets inserted into it.
+def place_triggers(triggers: Sequence[Trigger], motion_row: int, ends: Array, speed: float) -> PlacedTriggers:
+    """Return the places of the TRIGGERs of one divided motion and of the targets inserted into it.
 
-    A TRIGGER stays on its line if the inserted targets can be written before and behind it.
+    The inserted targets divide the motion into pieces; a TRIGGER must be before the piece on which it switches. It
+    stays on its line if the inserted targets can be written before and behind it.
 
     :param triggers: TRIGGERs of the motion, in order.
-    :param line: 1-based line of the motion.
+    :param motion_row: 1-based row of the trace (line in execution order) with the motion.
     :param ends: (n,) ends of the pieces, as shares of the motion in (0, 1].
     :param speed: speed of the TCP [m/s].
     """
     # at first, all inserted targets are right before the motion
-    placement = PlacedTriggers([line] * (len(ends) - 1), [[] for _ in ends], {}, [])
-    earliest_piece = len(ends)  # smallest piece of the later TRIGGERs that stay on their lines
+    placement = PlacedTriggers(
+        target_rows=[motion_row] * (len(ends) - 1),
+        moved_triggers=[[] for _ in ends],
+        path_texts={},
+        lost_triggers=[],
+    )
+    # from the last to the first: smallest piece of the later TRIGGERs that stay on their lines
+    earliest_piece = len(ends)
     for trigger in reversed(triggers):
         piece_and_offset = piece_and_distance(trigger, ends, speed)
-        if piece_and_offset is None:
+        if piece_and_offset is None:  # it cannot switch at the same place
             placement.lost_triggers.append(trigger)
             continue
         piece, offset = piece_and_offset
         if trigger.path_span is not None and abs(offset - trigger.offset) > _DISTANCE_TOLERANCE:
             placement.path_texts[trigger] = decimal_text(offset * MM_PER_M, 3).rstrip("0").rstrip(".")
-        if piece > earliest_piece:
+        if piece > earliest_piece:  # a later TRIGGER stays before an earlier piece: this one must follow it
             placement.moved_triggers[piece].insert(0, trigger)
             continue
         earliest_piece = piece
         if trigger.is_attached:  # the ends of earlier pieces precede the TRIGGER
-            placement.target_lines[:piece] = [trigger.trace_row] * piece
+            placement.target_rows[:piece] = [trigger.trace_row] * piece
     placement.lost_triggers.reverse()
     return placement
