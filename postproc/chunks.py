@@ -94,17 +94,16 @@ class Runs(Struct, frozen=True, eq=False):
         """Return an array as runs of equal rows."""
         if isinstance(array, Runs):
             return array
-        begins = np.ones(len(array), dtype=np.bool_)
+        begins_run = np.ones(len(array), dtype=np.bool_)
         for part in chunks(len(array)):
             start = max(part.start, 1)
             rows = array[start : part.stop]
             previous_rows = array[start - 1 : start - 1 + len(rows)]
-            begins[start : part.stop] = ((rows != previous_rows) & ~(np.isnan(rows) & np.isnan(previous_rows))).any(
-                axis=1
-            )
-        if np.count_nonzero(begins) == 1:
+            is_nan_in_both = np.isnan(rows) & np.isnan(previous_rows)
+            begins_run[start : part.stop] = ((rows != previous_rows) & ~is_nan_in_both).any(axis=1)
+        if np.count_nonzero(begins_run) == 1:  # an index that repeats 0 takes no memory
             return cls(array[:1].copy(), np.broadcast_to(np.int32(0), (len(array),)))
-        return cls(array[begins], np.cumsum(begins, dtype=np.int32) - 1)
+        return cls(array[begins_run], np.cumsum(begins_run, dtype=np.int32) - 1)
 
     @classmethod
     def from_rows(cls, shape: tuple[int, int], row_values: Mapping[int, NDArray[np.float64]]) -> Runs:
@@ -185,14 +184,17 @@ def in_chunks(function: Callable[..., _Result], first: NDArray[Any], *other_arra
     >>> in_chunks(lambda a, b: a + b[:, 0], np.array([1, 2]), np.array([[10], [20]])).tolist()
     [11, 22]
     """
-    whole: tuple[NDArray[Any], ...] = ()
+    joined_arrays: tuple[NDArray[Any], ...] = ()
     for part in chunks(len(first)):
         try:
             result = function(first[part], *(array[part] for array in other_arrays))
         except NotConvergedError as cause:
             raise NotConvergedError(str(cause), [part.start + row for row in cause.rows]) from None
         pieces: tuple[NDArray[Any], ...] = (result,) if isinstance(result, np.ndarray) else result
-        whole = whole or tuple(np.empty((len(first), *piece.shape[1:]), piece.dtype) for piece in pieces)
-        for array, piece in zip(whole, pieces, strict=True):
+        # shapes and types are known after the first chunk
+        joined_arrays = joined_arrays or tuple(
+            np.empty((len(first), *piece.shape[1:]), piece.dtype) for piece in pieces
+        )
+        for array, piece in zip(joined_arrays, pieces, strict=True):
             array[part] = piece
-    return cast("_Result", whole[0] if isinstance(result, np.ndarray) else whole)
+    return cast("_Result", joined_arrays[0] if isinstance(result, np.ndarray) else joined_arrays)

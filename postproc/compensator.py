@@ -64,10 +64,10 @@ class Compensator(Struct, frozen=True):
 
     def _crank(self, q2: Array) -> _Crank:
         """Return the crank at angles q2 (n,) of joint 2 [rad]."""
-        a_l = float(np.hypot(self.ax, self.ay)) * self.L
+        area = float(np.hypot(self.ax, self.ay)) * self.L
         angle = np.arctan2(self.ay, self.ax) - q2
         sine, cosine = sine_and_cosine(angle)
-        return _Crank(a_l, sine, cosine, np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * a_l * cosine))
+        return _Crank(area, sine, cosine, np.sqrt(self.ax**2 + self.ay**2 + self.L**2 + 2.0 * area * cosine))
 
     def length(self, q2: Array) -> Array:
         """Return s = |P0P1| [m], Eq. (3)."""
@@ -79,28 +79,28 @@ class Compensator(Struct, frozen=True):
 
     def gradient(self, q2: Array) -> Array:
         """Return U_c′ [N·m]; the spring's torque about joint 2 is −U_c′."""
-        a_l, sin, _, s = self._crank(q2)
-        return self.stiffness * a_l * (1.0 - self.free_length / s) * sin
+        area, sin, _, s = self._crank(q2)
+        return self.stiffness * area * (1.0 - self.free_length / s) * sin
 
     def stiffness_about_joint(self, q2: Array) -> Array:
         """Return U_c″ [N·m/rad]: the term added to K⁰_θ2 in Eq. (4)."""
-        a_l, sin, cos, s = self._crank(q2)
-        return self.stiffness * a_l * (self.free_length / s * (a_l / s**2 * sin**2 + cos) - cos)
+        area, sin, cos, s = self._crank(q2)
+        return self.stiffness * area * (self.free_length / s * (area / s**2 * sin**2 + cos) - cos)
 
     def gradient_columns(self, q2: Array) -> Array:
         """Return U_c′ (…, 2) per unit of K_c and of K_c·s₀, in both of which it is linear."""
-        a_l, sin, _, s = self._crank(q2)
-        return np.stack([a_l * sin, -a_l / s * sin], axis=-1)
+        area, sin, _, s = self._crank(q2)
+        return np.stack([area * sin, -area / s * sin], axis=-1)
 
     def stiffness_columns(self, q2: Array) -> Array:
         """Return U_c″ (…, 2) per unit of K_c and of K_c·s₀: columns of the first Eq. (10), without that of ones."""
-        a_l, sin, cos, s = self._crank(q2)
-        return np.stack([-a_l * cos, a_l / s * (a_l / s**2 * sin**2 + cos)], axis=-1)
+        area, sin, cos, s = self._crank(q2)
+        return np.stack([-area * cos, area / s * (area / s**2 * sin**2 + cos)], axis=-1)
 
     def with_spring(self, stiffness: float, preload: float) -> Compensator:
         """Return the law with K_c [N/m] and K_c·s₀ [N], unchecked: a fit may pass through unphysical values."""
         compensator = Compensator(0.0, 0.0, self.L, self.ax, self.ay)
-        stiffness = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
-        force_setattr(compensator, "stiffness", stiffness)
-        force_setattr(compensator, "free_length", preload / stiffness)
+        divisor = stiffness if abs(stiffness) > _NO_SPRING else _NO_SPRING
+        force_setattr(compensator, "stiffness", divisor)
+        force_setattr(compensator, "free_length", preload / divisor)
         return compensator

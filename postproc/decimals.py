@@ -83,7 +83,7 @@ def _put_decimals(text: Bytes, begin: int, end: int, decimals: NDArray[np.uint64
     remaining = _in_32_bits(decimals, 10 ** (end - begin))
     for stop in range(end, begin, -4):
         higher = remaining // remaining.dtype.type(10_000)
-        _four_bytes_before(text, stop)[...] = _FOUR.take(remaining - higher * remaining.dtype.type(10_000))
+        _four_bytes_before(text, stop)[...] = _FOUR_DIGITS.take(remaining - higher * remaining.dtype.type(10_000))
         remaining = higher
 
 
@@ -97,9 +97,9 @@ def _put_whole_part(text: Bytes, begin: int, end: int, numbers: NDArray[np.uint6
     for stop in range(end, begin, -4):
         higher = remaining // remaining.dtype.type(10_000)
         low = remaining - higher * remaining.dtype.type(10_000)
-        four_digits = _FOUR_SHORT.take(low)
+        four_digits = _FOUR_DIGITS_OR_LESS.take(low)
         if end - begin > 4:
-            four_digits = np.where(higher > 0, _FOUR.take(low), four_digits)
+            four_digits = np.where(higher > 0, _FOUR_DIGITS.take(low), four_digits)
             if stop < end:
                 four_digits[remaining == 0] = _ABSENT
         _four_bytes_before(text, stop)[...] = four_digits
@@ -138,8 +138,10 @@ def fixed_point_text(values: Array, decimals: int) -> Bytes:
 
 _FOUR_DIGIT_NUMBERS = np.arange(10_000)[:, None]
 _DIGITS = (_FOUR_DIGIT_NUMBERS // [1000, 100, 10, 1] % 10 + ord("0")).astype(np.uint8)
-_FOUR = _DIGITS.view(np.uint32)[:, 0]
-_FOUR_SHORT = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
+_FOUR_DIGITS = _DIGITS.view(np.uint32)[:, 0]
+"""Number below 10,000 → its four ASCII digits, with leading zeros, as one number of 32 bits."""
+_FOUR_DIGITS_OR_LESS = (_DIGITS * (_FOUR_DIGIT_NUMBERS >= [1000, 100, 10, 0])).view(np.uint32)[:, 0]
+"""The same with bytes of 0 in place of leading zeros."""
 
 
 def _in_32_bits(numbers: NDArray[np.uint64], limit: int) -> NDArray[np.uint64] | NDArray[np.uint32]:
@@ -184,10 +186,10 @@ def parsed_numbers(text: Bytes, starts: Ints, stops: Ints) -> Array | None:
         return None
     padded_text = np.concatenate([np.full(8, ord("0"), dtype=np.uint8), text])
     words = np.ndarray(len(text) + 1, np.uint64, padded_text, 0, (1,))  # of the eight bytes before each offset
-    whole_digits, decimal_digits = words[points] & _LAST[whole], words[stops] & _LAST[places]
+    whole_digits, decimal_digits = words[points] & _LAST_BYTES[whole], words[stops] & _LAST_BYTES[places]
     # a byte with other upper bits than those of a digit is another character
-    has_other_whole = ((whole_digits ^ _ZEROS & _LAST[whole]) & _HIGH).any()
-    has_other_decimal = ((decimal_digits ^ _ZEROS & _LAST[places]) & _HIGH).any()
+    has_other_whole = ((whole_digits ^ _ZERO_DIGITS & _LAST_BYTES[whole]) & _UPPER_BITS).any()
+    has_other_decimal = ((decimal_digits ^ _ZERO_DIGITS & _LAST_BYTES[places]) & _UPPER_BITS).any()
     if has_other_whole or has_other_decimal:
         return None
     scale = _POWER[places]
@@ -210,9 +212,9 @@ def _decimal_points(text: Bytes, starts: Ints, stops: Ints) -> Ints | None:
     return point_or_stop if np.count_nonzero(point_or_stop < stops) == len(points) else None
 
 
-_ZEROS, _HIGH = np.uint64(0x3030303030303030), np.uint64(0xF0F0F0F0F0F0F0F0)
+_ZERO_DIGITS, _UPPER_BITS = np.uint64(0x3030303030303030), np.uint64(0xF0F0F0F0F0F0F0F0)
 """Eight ASCII digits "0", which are 0x30, and the upper four bits of each byte: those of a digit are 3."""
-_LAST = np.array([(2**64 - 1) >> 8 * k << 8 * k for k in range(8, -1, -1)], dtype=np.uint64)
+_LAST_BYTES = np.array([(2**64 - 1) >> 8 * k << 8 * k for k in range(8, -1, -1)], dtype=np.uint64)
 """Masks of the last 0 … 8 of eight bytes."""
 _POWER = np.array([10**k for k in range(9)], dtype=np.uint64)
 """Powers of ten, for up to eight digits at once."""

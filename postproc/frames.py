@@ -153,11 +153,11 @@ def rotation_vector(rotation: Array) -> Array:
     return vector
 
 
-def _near_half_turn(rotation: Array, sine: Array) -> Array:
+def _near_half_turn(rotation: Array, sine_axis: Array) -> Array:
     """Return rotation vectors (n, 3) of rotations (n, 3, 3) near a half turn, where the sine has no digits left.
 
     The symmetric part is cos·I + (1 − cos)·a·aᵀ: its column of the largest diagonal entry gives the axis a, and
-    `sine` (n, 3), sin·a, its sign. At the half turn itself, where both signs mean the same, the largest entry is
+    `sine_axis` (n, 3), sin·a, its sign. At the half turn itself, where both signs mean the same, the largest entry is
     positive.
     """
     row = np.arange(len(rotation))
@@ -166,8 +166,8 @@ def _near_half_turn(rotation: Array, sine: Array) -> Array:
     axis = 0.5 * (rotation[row, :, largest_entry] + rotation[row, largest_entry])
     axis[row, largest_entry] -= cosine
     axis /= norm(axis)[:, None]
-    axis *= np.where(np.einsum("ni,ni->n", axis, sine) < 0.0, -1.0, 1.0)[:, None]
-    return np.asarray(axis * np.arctan2(norm(sine), cosine)[:, None])
+    axis *= np.where(np.einsum("ni,ni->n", axis, sine_axis) < 0.0, -1.0, 1.0)[:, None]
+    return np.asarray(axis * np.arctan2(norm(sine_axis), cosine)[:, None])
 
 
 def sine_and_cosine(angle: Array) -> tuple[Array, Array]:
@@ -268,9 +268,10 @@ def rigid_displacement(points: Array, shift: Array, weight: Array) -> Array:
     """
     share = weight / weight.sum()
     centre, mean_shift = share @ points, share @ shift
-    root = np.sqrt(share)[:, None, None]
-    design = (-root * hat(points - centre)).reshape(-1, 3)
-    angle = np.linalg.lstsq(design, (root[..., 0] * (shift - mean_shift)).ravel(), rcond=_UNDETERMINED)[0]
+    root_share = np.sqrt(share)[:, None, None]
+    # a small rotation ω shifts a point p by ω × (p − centre) = −hat(p − centre) ω
+    design = (-root_share * hat(points - centre)).reshape(-1, 3)
+    angle = np.linalg.lstsq(design, (root_share[..., 0] * (shift - mean_shift)).ravel(), rcond=_UNDETERMINED)[0]
     displacement = np.eye(4)
     displacement[:3, :3] = rotation_from_vector(angle)
     displacement[:3, 3] = centre + mean_shift - displacement[:3, :3] @ centre

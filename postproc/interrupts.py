@@ -72,6 +72,7 @@ def defer() -> Iterator[None]:
                 if number is not None:
                     raise Interrupt(number)
         return
+    # inside another `defer`, which raises the signal at its end; only an `allow` around this one is suspended
     was_raising, _State.is_raising = _State.is_raising, False
     try:
         yield

@@ -164,26 +164,28 @@ def _operation_starts(program: Program, names: Names) -> Iterator[_Start]:
     :param names: which comments name operations.
     """
     m = program.motions
-    marks = [event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)]
+    boundary_events = [
+        event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)
+    ]
     frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
     starts = {0: ("", 1)} | {row: ("", int(m.line[row])) for row in frames.tolist()}
-    starts |= _starts_at_marks(program, marks, names)
+    starts |= _starts_at_events(program, boundary_events, names)
     rows = sorted(starts)
-    for row, tool in zip(rows, _tools_at(program, marks, rows), strict=True):
+    for row, tool in zip(rows, _tools_at(program, boundary_events, rows), strict=True):
         name, line = starts[row]
         yield _Start(row, name, tool, line)
 
 
-def _starts_at_marks(program: Program, marks: list[Event], names: Names) -> dict[int, tuple[str, int]]:
+def _starts_at_events(program: Program, boundary_events: list[Event], names: Names) -> dict[int, tuple[str, int]]:
     """Return name (empty: none) and line of operations that comments or tool changes begin, by their first motion.
 
-    :param marks: comments and tool changes.
+    :param boundary_events: comments and tool changes.
     :param names: which comments name operations.
     """
-    is_explicit = any(event.kind == "comment" and _BEGIN_OPERATION.match(event.text) for event in marks)
-    lines = _numbered_lines(program, marks)
+    is_explicit = any(event.kind == "comment" and _BEGIN_OPERATION.match(event.text) for event in boundary_events)
+    lines = _numbered_lines(program, boundary_events)
     starts: dict[int, tuple[str, int]] = {}
-    for row, group in groupby(sorted(marks, key=lambda event: event.before), key=lambda event: event.before):
+    for row, group in groupby(sorted(boundary_events, key=lambda event: event.before), key=lambda event: event.before):
         events = list(group)
         changes = [event for event in events if event.kind == "tool_change"]
         candidates = events if is_explicit else _separate_events(events, lines)
@@ -200,17 +202,20 @@ def _starts_at_marks(program: Program, marks: list[Event], names: Names) -> dict
     return starts
 
 
-def _tools_at(program: Program, marks: list[Event], rows: list[int]) -> list[int]:
+def _tools_at(program: Program, boundary_events: list[Event], rows: list[int]) -> list[int]:
     """Return the tool of the operations that begin at motions, see `Operation.tool`.
 
-    :param marks: comments and tool changes.
+    :param boundary_events: comments and tool changes.
     :param rows: the motions.
     """
-    changes = sorted((event for event in marks if event.kind == "tool_change"), key=lambda event: event.before)
+    changes = sorted(
+        (event for event in boundary_events if event.kind == "tool_change"), key=lambda event: event.before
+    )
     if changes:
         numbers = np.array([0, *(int(event.value) for event in changes)])  # 0 before the first change
         counts = np.searchsorted([event.before for event in changes], rows, side="right")
         return [int(number) for number in numbers[counts]]
+    # a robot program has no tool changes: its tools are rows of `Program.tools`, counted from 1
     return [int(row) + 1 for row in program.motions.tool[rows]] if program.keeps_text else [0] * len(rows)
 
 
@@ -277,14 +282,15 @@ def _naming_comment(events: list[Event], *, is_first: bool, is_explicit: bool) -
     last_change = max((k for k, event in enumerate(events) if event.kind == "tool_change"), default=None)
     names_before_change: list[Event] = []
     names_after_change: list[Event] = []
-    for place, event in enumerate(events):
+    for index, event in enumerate(events):
         if event.kind == "tool_change":
             continue
         if _OPERATION_PREFIX.match(event.text):
             return event
+        # "end milling" is a name, though comments that begin with "end" are not
         is_milling = last_change is None and not is_first and bool(_END_MILLING.match(title(event.text)))
         if is_milling or _is_name(event.text):
-            is_before = last_change is None or place < last_change
+            is_before = last_change is None or index < last_change
             (names_before_change if is_before else names_after_change).append(event)
     if not names_before_change:
         return next(iter(names_after_change), None)
@@ -312,16 +318,17 @@ def _cutting_starts(program: Program, starts: list[_Start]) -> Iterator[_Start]:
     :param starts: all starts, in order.
     """
     count = len(program.motions)
-    cuts_before = np.concatenate([[0], np.cumsum(~program.motions.rapid)])
+    cuts_before = np.concatenate([[0], np.cumsum(~program.motions.rapid)])  # number of cutting motions before each
     stops = [*(start.row for start in starts[1:]), count]
-    begin, name, last_tool, has_new_name = 0, "", -1, False
+    begin, name, last_tool, has_new_name = 0, "", -1, False  # −1: no tool yet
     for start, stop in zip(starts, stops, strict=True):
         if start.tool != last_tool:
             # between a comment and its tool change there may be a move to home: its name is that of this operation
             name, last_tool = name if has_new_name else "", start.tool
         name = start.name or name
         has_new_name = has_new_name or bool(start.name)
-        if cuts_before[stop] == cuts_before[start.row] and stop < count:
+        has_cut = cuts_before[stop] > cuts_before[start.row]
+        if not has_cut and stop < count:
             continue
         yield _Start(begin, name, start.tool, start.line)
         begin, has_new_name = stop, False

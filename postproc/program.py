@@ -134,7 +134,7 @@ class Swivel(Struct, frozen=True, eq=False):
     :param axes: (k, 3) what they turn about, from the part outwards, in the program frame; sign included.
     :param frame: (M,) row of `frames` (nf, 3, 3): orientation of the program frame in `$BASE`.
     :param tool: (3, 3) orientation of the tool frame in the program frame at d = z.
-    :param active: (M,) False for motions that do not start where these angles say.
+    :param active: (M,) True for motions that these axes turn; False for those that do not start where the angles say.
     :param rate: (M,) how fast motions turn the tool that do not move its tip [rad/s]; NaN: as fast as the controller
         does it, and for all others.
     :param spin: (M, 2) turn of the tool about d in addition, at the start and at the end of each motion [rad]; None: it
@@ -321,11 +321,13 @@ class Starts(Struct, frozen=True, eq=False):
         :param predecessor: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
         """
         base, tool, bases, tools = frames
+        # motions whose start is expressed in other frames than the end of the motion before
         changed = np.flatnonzero((np.diff(base) != 0) | (np.diff(tool) != 0)) + 1
         previous = changed - 1
         if predecessor is not None:
             changed = distinct(np.append(changed, np.flatnonzero(predecessor != np.arange(len(base)) - 1)))
             previous = predecessor[changed]
+        # flange in the root where each of them begins
         flange = bases[base[previous]] @ end(previous) @ inverse(tools[tool[previous]])
         flange[previous < 0] = start_flange_in_root
         if not len(changed) or changed[0] > 0:  # motion 0 begins where the program starts, not at the end of another
@@ -336,14 +338,14 @@ class Starts(Struct, frozen=True, eq=False):
     def at(self, motion: Ints) -> Array:
         """Return the tool frames (n, 4, 4) at the start of motions (n,), in their `$BASE` [m]."""
         pose = self.end(motion - 1)  # of motion 0, which is a changed one, replaced below
-        place, has_start = self.find_changed(motion)
-        pose[has_start] = self.pose[place[has_start]]
+        index, is_changed = self.find_changed(motion)
+        pose[is_changed] = self.pose[index[is_changed]]
         return pose
 
     def find_changed(self, motion: Ints) -> tuple[Ints, Bools]:
-        """Return the place (n,) of motions in `changed`, and which (n,) have one."""
-        place = np.searchsorted(self.changed, motion)
-        return place, np.append(self.changed, -1)[place] == motion
+        """Return the index (n,) of motions in `changed`, and which (n,) are in it; the other indices mean nothing."""
+        index = np.searchsorted(self.changed, motion)
+        return index, np.append(self.changed, -1)[index] == motion
 
 
 ForceFrame = Literal["BASE", "TOOL", "FEED"]
@@ -387,7 +389,10 @@ FORCE_COMMENT = re.compile(
 """The beginning of a comment that is about forces, or was meant to be: it begins with the word FORCE, unless prose
 follows, or gives FX, FY or FZ a number. (The inline forms of KRL, ``;FOLD …``, give their parameters in this way.)"""
 _FORCE_WORD = re.compile(r"\s*FORCE\b", re.IGNORECASE)
-_FORCE_PART = re.compile(r"\s*(?:(F[XYZ]|M[XYZ])\s*=\s*([^\s=]+)|FRAME\s*=\s*(\w+))", re.IGNORECASE)
+_FORCE_PART = re.compile(
+    r"\s*(?:(?P<component>F[XYZ]|M[XYZ])\s*=\s*(?P<value>[^\s=]+)|FRAME\s*=\s*(?P<frame>\w+))", re.IGNORECASE
+)
+"""A component of a force comment, such as ``FX=120``, or its frame."""
 
 
 def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
@@ -400,15 +405,15 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
     if FORCE_COMMENT.match(comment) is None:
         return None
     advice = "Write FORCE FX=120 FY=-40.5 FZ=300 [MX= MY= MZ=] [FRAME=BASE|TOOL|FEED], or FORCE OFF (N, N·m)."
-    begin = _FORCE_WORD.match(comment)
-    if begin is None and comment.lstrip(" \t").startswith("("):
+    force_word = _FORCE_WORD.match(comment)
+    if force_word is None and comment.lstrip(" \t").startswith("("):
         raise ForceError(
             "the force comment is in brackets", file=file, line=line, text=comment, advice=f"Leave them out. {advice}"
         )
-    if begin is None:
+    if force_word is None:
         problem = "looks like a force comment, but does not begin with the word FORCE"
         raise ForceError(problem, file=file, line=line, text=comment, advice=advice)
-    remaining_text = comment[begin.end() :]
+    remaining_text = comment[force_word.end() :]
     if remaining_text.strip().upper() == "OFF":
         return ForceNote(line, (0.0,) * 6)
     wrench: dict[str, float] = {}
@@ -419,17 +424,17 @@ def parse_force_note(comment: str, line: int, file: str) -> ForceNote | None:
         try:
             if part is None:
                 raise ValueError  # noqa: TRY301
-            if part[3]:
-                frame = FORCE_FRAMES[FORCE_FRAMES.index(part[3].upper())]
+            if part["frame"]:
+                frame = FORCE_FRAMES[FORCE_FRAMES.index(part["frame"].upper())]
             else:
-                value = float(part[2])
-                if not abs(value) <= MOST_FORCE or part[1].upper() in wrench:
+                component, value = part["component"].upper(), float(part["value"])
+                if not abs(value) <= MOST_FORCE or component in wrench:
                     raise ValueError  # noqa: TRY301
-                wrench[part[1].upper()] = value
+                wrench[component] = value
         except ValueError:
             problem = "force comment cannot be read"
-            if part is not None and part[3]:
-                problem, advice = f"unknown frame {part[3]!r}", choices(part[3], FORCE_FRAMES, "Valid frames")
+            if part is not None and (name := part["frame"]):
+                problem, advice = f"unknown frame {name!r}", choices(name, FORCE_FRAMES, "Valid frames")
             raise ForceError(problem, file=file, line=line, text=comment, advice=advice) from None
         position = part.end()
     if not wrench:
@@ -634,13 +639,21 @@ class Program(Struct, frozen=True, eq=False):
         return f"<Program {self.name} ({self.dialect}): {len(self.motions)} motions>"
 
     @property
+    def predecessors(self) -> Ints:
+        """(M,) row of the motion at whose end each motion begins.
+
+        −1: the start of the program; its own row: its start is unknown.
+        """
+        return np.arange(len(self.motions)) - 1 if self.after is None else self.after
+
+    @property
     def turning(self) -> Turning | None:
         """How motions turn the tool that do not turn it by one rotation; None: all do."""
         return self.wrist if self.swivel is None else self.swivel
 
     @property
     def waiting_motions(self) -> Ints:
-        """Motions (n,) at whose end it waits, −1 for the start of the program.
+        """Motions (n,) at whose end the program waits, −1 for the start of the program.
 
         Known are G4, M0, M1, DELAY, cycles with a dwell, WAIT and HALT of KRL, Wait and Stop instructions of RAPID, and
         those of both in lines of the cell, such as spindle_on.
@@ -648,7 +661,7 @@ class Program(Struct, frozen=True, eq=False):
         """
         return np.array(
             [
-                event.before - 1
+                event.before - 1  # an event is before a motion: the wait is at the end of the one before that
                 for event in self.events
                 if event.waits or event.kind == "stop" or (event.kind == "dwell" and event.value != 0.0)
             ],
@@ -718,9 +731,13 @@ class Targets(Struct, frozen=True, eq=False):
         return len(self.motion)
 
     def begin(self, row: NDArray[np.integer[Any]]) -> Array:
-        """Return where on its motion the piece to each of some targets (n,) begins."""
+        """Return where on its motion the piece to each of some targets (n,) begins: t, in [0, 1).
+
+        A piece leads to a target from the one before it on the same motion, or from the start of the motion.
+        """
         previous = np.maximum(row - 1, 0)
-        return np.where((row == 0) | (self.motion[row] != self.motion[previous]), 0.0, self.t[previous])
+        is_first_of_motion = (row == 0) | (self.motion[row] != self.motion[previous])
+        return np.where(is_first_of_motion, 0.0, self.t[previous])
 
 
 class TargetJoints(Struct, frozen=True, eq=False):

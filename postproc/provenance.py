@@ -97,11 +97,10 @@ def of(documents: Sequence[Document], comment: str) -> Provenance:
     if content is None or len(provenance_lines) > 1 or int(content[1]) != FORMAT:
         return Provenance("changed", line=line)
     entries = dict(part.split("=", 1) for part in content[2].split())
-    if "of" in entries:
+    if "of" in entries:  # the file is a part of a program in several files
         return Provenance("none", line=line, part_of=entries["of"])
-    state: State = (
-        "intact" if entries.get("text") == _digest_without_line(documents, provenance_lines[0]) else "changed"
-    )
+    is_intact = entries.get("text") == _digest_without_line(documents, provenance_lines[0])
+    state: State = "intact" if is_intact else "changed"
     sums = {name: value for name, value in entries.items() if name in ("source", "cell", "model", "forces")}
     options = {name: value for name, value in entries.items() if name not in (*sums, "text", "mode", "version")}
     return Provenance(state, entries.get("mode", ""), entries.get("version", ""), line, sums, options)

@@ -63,15 +63,16 @@ def _errors_by_touch(points: Array, residual: Array, centre: Array) -> Array:
 
     :param points: (n, 3) of the cuts in one `$BASE`, `residual` (n, 3) what the fit leaves there [m].
     """
-    spread = _far_points(points)
-    triples = np.array(list(permutations(spread, _TOUCHED_POINTS)), dtype=np.int64).reshape(-1, _TOUCHED_POINTS)
+    far_rows = _far_points(points)
+    triples = np.array(list(permutations(far_rows, _TOUCHED_POINTS)), dtype=np.int64).reshape(-1, _TOUCHED_POINTS)
     edges = points[triples[:, 1:]] - points[triples[:, :1]]
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
     largest_edge = norm(edges).max(initial=0.0)
     if area.max(initial=0.0) <= _FLAT_SHARE * largest_edge**2:
         # points of a line give no frame: that was touched elsewhere, and is displaced as they are
-        return np.concatenate([residual[spread], np.zeros((len(spread), 3))], axis=1)
+        return np.concatenate([residual[far_rows], np.zeros((len(far_rows), 3))], axis=1)
     triples = triples[area >= _LEAST_AREA_SHARE * area.max()]
+    # from the frame of the points where they are to the frame of the points as the arm touches them
     displacement = _frame_of(points[triples] + residual[triples]) @ inverse(_frame_of(points[triples]))
     rotation = displacement[:, :3, :3]
     return np.concatenate([rotation @ centre + displacement[:, :3, 3] - centre, rotation_vector(rotation)], axis=1)

@@ -70,7 +70,7 @@ def check_ends(program: Program, robot: RobotModel) -> None:
         f"out of reach: the flange would be up to {largest_distance * MM_PER_M:.0f} mm from the robot's root, "
         f"and its reach is {reach * MM_PER_M:.0f} mm. Check units, work offset and [base], or the targets."
     )
-    _check(program, cartesian, ~(distance <= reach), "unreachable", message)
+    _refuse_impossible(program, cartesian, ~(distance <= reach), "unreachable", message)
 
 
 def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
@@ -87,17 +87,17 @@ def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
     turns = m.sweep[arcs] / (2.0 * np.pi)
     is_invalid = ~(turns <= _MOST_TURNS)
     message = f"an arc of {turns.max(initial=0.0):.1f} turns, more than the permitted {_MOST_TURNS}. Check its angle."
-    _check(program, arcs, is_invalid, "turns", message)
+    _refuse_impossible(program, arcs, is_invalid, "turns", message)
     is_invalid = (turns >= 1.0) & ~(radius <= reach)
-    wide = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _LEAST_CHECKED_SHARE * reach))
+    long_arcs = np.flatnonzero((turns < 1.0) & (path.length[arcs] > _LEAST_CHECKED_SHARE * reach))
     for share in (0.25, 0.5, 0.75):
-        pose = toolpath.at(program, path, arcs[wide], np.full(len(wide), share)).pose[:]
-        is_invalid[wide] |= ~(_root_distance(program, arcs[wide], pose, share) <= reach)
+        pose = toolpath.at(program, path, arcs[long_arcs], np.full(len(long_arcs), share)).pose[:]
+        is_invalid[long_arcs] |= ~(_root_distance(program, arcs[long_arcs], pose, share) <= reach)
     message = (
         f"out of reach: the arc leaves the reach of the flange, {reach * MM_PER_M:.0f} mm from the robot's root. "
         "Check its centre or radius, and its plane."
     )
-    _check(program, arcs, is_invalid, "unreachable", message)
+    _refuse_impossible(program, arcs, is_invalid, "unreachable", message)
     length = float(path.length.sum())
     if not length <= _MOST_REACHES * reach:
         message = (
@@ -108,7 +108,10 @@ def check_arcs(program: Program, robot: RobotModel, path: Segments) -> None:
 
 
 def _root_distance(program: Program, motion: Ints, pose: Array, t: float) -> Array:
-    """Return the distance of the flange from the robot's root (n,) [m] for tool frames in `$BASE` (n, 4, 4)."""
+    """Return the distance of the flange from the robot's root (n,) [m] for tool frames in `$BASE` (n, 4, 4).
+
+    :param t: place on the motions at which the frames are, 0 at their start and 1 at their end.
+    """
     return norm(toolpath.flange_points(program, motion, pose, np.zeros(3), t))
 
 
@@ -120,7 +123,7 @@ def _reach(robot: RobotModel) -> float:
     return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
 
 
-def _check(program: Program, motion: Ints, is_impossible: Bools, kind: str, message: str) -> None:
+def _refuse_impossible(program: Program, motion: Ints, is_impossible: Bools, kind: str, message: str) -> None:
     """Refuse a program with impossible motions: the error names all of them.
 
     :param motion: (n,) rows of `Motions`, and `is_impossible` (n,) True for those that are.
@@ -264,7 +267,7 @@ class RobotInCell(Struct, frozen=True, eq=False, dict=True):
         cuts = np.flatnonzero(~m.rapid & (m.kind != PTP) & (segments.length > 0.0))
         if len(cuts) == 0:
             return cuts, np.empty((0, 6))
-        cuts = cuts[:: -(-len(cuts) // _MOST_CUTS)]
+        cuts = cuts[:: -(-len(cuts) // _MOST_CUTS)]  # every k-th one, k rounded up
         return cuts, self.end_joints(program)[cuts]
 
     def tip_compliance(self, tool: Array) -> tuple[float, float]:
@@ -369,7 +372,7 @@ class PtpMoves(Struct, frozen=True, eq=False, dict=True):
             q = self.robot_in_cell.follow(program, motion, t, sample.pose).q[last_places]
         except UnreachableError as cause:
             raise ImpossiblePathError(unreachable(program, motion[list(cause.rows)])) from None
-        previous = ptp - 1 if program.after is None else program.after[ptp]
+        previous = program.predecessors[ptp]
         begin = np.where(previous[:, None] >= 0, q[previous], cell.start_joints)
         return _PtpEnds(ptp, begin, q[ptp])
 
@@ -448,8 +451,7 @@ def _wrist_led_joints(program: Program, robot_in_cell: RobotInCell, motion: Ints
     :raises ImpossiblePathError: a wrist axis turns too far to be certain, or a target is out of reach.
     """
     end = robot_in_cell.end_joints(program)
-    predecessor = np.arange(len(end)) - 1 if program.after is None else program.after
-    previous = predecessor[motion]
+    previous = program.predecessors[motion]  # −1: the start of the program
     begin = np.where(previous[:, None] >= 0, end[previous], robot_in_cell.cell.start_joints)
     change = (end[motion] - begin + np.pi) % (2.0 * np.pi) - np.pi
     is_unclear = (np.abs(change[:, 3:]) > _MOST_WRIST_TURN).any(axis=1)
@@ -459,7 +461,7 @@ def _wrist_led_joints(program: Program, robot_in_cell: RobotInCell, motion: Ints
         f"by more than {np.degrees(_MOST_WRIST_TURN):g}°: how the controller leads A4 to A6 is not certain. "
         f"{_WRIST_ADVICE}"
     )
-    _check(program, motion, is_unclear, "wrist-led", message)
+    _refuse_impossible(program, motion, is_unclear, "wrist-led", message)
     return begin, begin + change
 
 
@@ -503,13 +505,13 @@ class MotionsUnderLoad(Struct, frozen=True, eq=False):
         compliance = robot_in_cell.tip_compliance(program.tools[0])
         swing_places = forces.swing_places(path_forces, compliance, SHARE_OF_TOLERANCE * robot_in_cell.tolerance)
         return cls(
-            program,
-            robot_in_cell,
-            segments,
-            path_forces,
-            compliance,
-            forces.displacement_estimate(path_forces, compliance),
-            swing_places,
+            program=program,
+            robot_in_cell=robot_in_cell,
+            segments=segments,
+            forces=path_forces,
+            compliance=compliance,
+            estimate=forces.displacement_estimate(path_forces, compliance),
+            swing_places=swing_places,
         )
 
     def pieces(self, *, linearize_arcs: bool) -> Pieces:

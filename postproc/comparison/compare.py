@@ -1,5 +1,8 @@
 """Two programs compared: targets paired, offsets, and where each would cut under the same force, also between targets.
 
+A pair is a target of the nominal program and its partner, the target of the second program that is to be the same place
+on the part. Indices of partners count the Cartesian targets of the second program.
+
 Both are seen by the robot: a target is the pose that the flange is sent to, so that programs with different `$BASE` or
 `$TOOL` may command the same. Offsets are those of the nominal program's tool, in its `$BASE`.
 """
@@ -65,7 +68,7 @@ def compare(
     :raises ForceError: forces that cannot be assigned to the motions, or without an equilibrium of the arm.
     """
     robot_in_cell = RobotInCell.of(robot, cell)
-    nominal, _, _ = placement.in_chosen_turn(nominal, robot_in_cell, source)
+    nominal = placement.in_chosen_turn(nominal, robot_in_cell, source).program
     nominal_path = PlacedProgram.of(nominal, robot_in_cell)
     robot_in_cell = robot_in_cell.in_touched_frames(nominal, nominal_path.segments)
     nominal_path = replace(nominal_path, robot_in_cell=robot_in_cell)
@@ -77,7 +80,7 @@ def compare(
     else:
         pairing = _pair_by_position(nominal_path, corrected_path, stated_pairs, is_certain=same_origin)
     nominal_path, loads = pairing.nominal_path, pairing.loads
-    comparison = _all_pairs(nominal_path, corrected_path, pairing.partner, pairing.certain, loads)
+    comparison = _all_pairs(nominal_path, corrected_path, pairing.partner, pairing.is_certain, loads)
     if loads is not None:
         comparison = _complete_cuts(comparison, nominal_path, corrected_path, loads)
     else:
@@ -89,9 +92,9 @@ def compare(
         comparison,
         nominal_path,
         corrected_path,
-        in_file=source is not None,
+        has_force_file=source is not None,
         same_origin=same_origin,
-        pairs_certain=loads is not None or stated_pairs is not None,
+        are_pairs_certain=loads is not None or stated_pairs is not None,
     )
     return replace(comparison, differences=other_differences)
 
@@ -142,13 +145,13 @@ class _Pairing(Struct, frozen=True, eq=False):
 
     :param nominal_path: the nominal program, at the feeds for which the loads are computed.
     :param partner: (n,) index of the partner in the targets of the second program; −1 for none.
-    :param certain: (n,) True where the partner is right for certain.
+    :param is_certain: (n,) True where the partner is right for certain.
     :param loads: forces of the nominal program; None if they are not known.
     """
 
     nominal_path: PlacedProgram
     partner: Ints
-    certain: Bools
+    is_certain: Bools
     loads: _Loads | None
 
 
@@ -177,13 +180,14 @@ def _pair_under_forces(
     """
     robot_in_cell = nominal_path.robot_in_cell
     loads = _Loads.of(nominal_path, source)
-    partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
-    at_feeds = None if loads.path.law_forces is None else _with_partner_feeds(nominal_path, corrected_path, partner)
-    if at_feeds is not None:
-        nominal_path = PlacedProgram.of(at_feeds, robot_in_cell)
+    partner, is_certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
+    depends_on_feed = loads.path.law_forces is not None  # forces are computed by a cutting law
+    program_at_feeds = _with_partner_feeds(nominal_path, corrected_path, partner) if depends_on_feed else None
+    if program_at_feeds is not None:
+        nominal_path = PlacedProgram.of(program_at_feeds, robot_in_cell)
         loads = _Loads.of(nominal_path, source)
-        partner, certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
-    return _Pairing(nominal_path, partner, certain, loads)
+        partner, is_certain = _partners_under_load(nominal_path, corrected_path, loads, stated_pairs)
+    return _Pairing(nominal_path, partner, is_certain, loads)
 
 
 def _partners_under_load(
@@ -206,21 +210,23 @@ def _partners_under_load(
 
 
 def _all_pairs(
-    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools, loads: _Loads | None
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, is_certain: Bools, loads: _Loads | None
 ) -> Comparison:
     """Return the comparison of nominal targets with their partners.
 
     A second round pairs missing targets with additional ones to which the second program has moved them.
 
     :param partner: (n,) index of the partner in `corrected_path.rows`; −1 for none.
-    :param certain: (n,) True where the partner is right for certain.
+    :param is_certain: (n,) True where the partner is right for certain.
     :param loads: forces of the nominal program; None if they are not known.
     """
-    load = None if loads is None else loads.path
-    # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then
-    is_division_point = nominal_path.is_continued[nominal_path.rows] & (partner >= 0) & ~certain & (loads is not None)
-    pairs = pair_targets(nominal_path, corrected_path, np.where(is_division_point, -1, partner), certain)
-    comparison = judge_unpaired(pairs, nominal_path, corrected_path, load)
+    path_forces = None if loads is None else loads.path
+    has_doubtful_partner = (partner >= 0) & ~is_certain & (loads is not None)
+    # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then,
+    # so it first has no partner, and gets it back if it then counts as missing
+    is_division_point = nominal_path.is_continued[nominal_path.rows] & has_doubtful_partner
+    pairs = pair_targets(nominal_path, corrected_path, np.where(is_division_point, -1, partner), is_certain)
+    comparison = judge_unpaired(pairs, nominal_path, corrected_path, path_forces)
     displaced_partner = moved_partners(comparison, nominal_path, corrected_path)
     is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & is_division_point
     displaced_partner[is_missing] = partner[is_missing]
@@ -228,7 +234,7 @@ def _all_pairs(
         return comparison
     partner = ordered_partners(np.maximum(partners_of(comparison, nominal_path, corrected_path), displaced_partner))
     pairs = pair_targets(nominal_path, corrected_path, partner, np.ones(len(partner), dtype=bool))
-    return judge_unpaired(pairs, nominal_path, corrected_path, load)
+    return judge_unpaired(pairs, nominal_path, corrected_path, path_forces)
 
 
 def _complete_cuts(
@@ -240,7 +246,7 @@ def _complete_cuts(
     """
     partner = partners_of(comparison, nominal_path, corrected_path)
     corrected_deviation = deviations_by_partners(nominal_path, corrected_path, partner, loads.wrench)
-    target_of_pair = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])
+    target_of_pair = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])  # rows of `loads`: one for each target
     cuts = pair_cuts(
         comparison,
         nominal_path,

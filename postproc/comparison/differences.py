@@ -66,18 +66,18 @@ def differences(
     nominal_path: PlacedProgram,
     corrected_path: PlacedProgram,
     *,
-    in_file: bool,
+    has_force_file: bool,
     same_origin: bool,
-    pairs_certain: bool,
+    are_pairs_certain: bool,
 ) -> tuple[Difference, ...]:
     """Return the differences besides offsets.
 
-    :param in_file: forces of the nominal program come from a file.
+    :param has_force_file: forces of the nominal program come from a file.
     :param same_origin: one conversion made the second program of the first, or both. Settings and statements are then
         not compared.
-    :param pairs_certain: pairs were found under forces, or the conversion states them.
+    :param are_pairs_certain: pairs were found under forces, or the conversion states them.
     """
-    ambiguous_pairs = () if pairs_certain else tuple(_ambiguous_pairs(comparison, nominal_path, corrected_path))
+    ambiguous_pairs = () if are_pairs_certain else tuple(_ambiguous_pairs(comparison, nominal_path, corrected_path))
     if same_origin:
         return (
             *lowered_feed_notes(comparison),
@@ -97,7 +97,7 @@ def differences(
         *_call_differences(comparison),
         *setting_differences(comparison, nominal_path, corrected_path),
         *statement_differences(comparison),
-        *force_differences(comparison, corrected_path, in_file=in_file),
+        *force_differences(comparison, corrected_path, has_force_file=has_force_file),
         *_rapid_differences(comparison, nominal_path),
         *_repeated_positions(comparison, nominal_path, corrected_path),
         *_backward_moves(comparison),
@@ -303,7 +303,7 @@ def _ambiguous_pairs(
     partner = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])  # index of the target in the second track
     limit = OFF_PATH + 2.0 * float(comparison.distance.max())
     uncertainty = np.zeros(len(partner))  # of the offset of each pair [m]
-    for step in (-1, 1):
+    for step in (-1, 1):  # the target before the partner, and the one after it
         neighbour = np.clip(partner + step, 0, len(corrected_path.rows) - 1)
         is_inserted = np.isin(corrected_path.rows[neighbour], comparison.inserted_rows)
         is_possible = is_inserted & (norm(corrected_position[neighbour] - nominal_position) <= limit)
@@ -344,15 +344,15 @@ def _orientation_differences(
     inserted_indices = np.flatnonzero(inserted_angles > limit)
     if not len(pairs) and not len(inserted_indices):
         return
-    rows, angle = [-1, -1], 0.0  # of the largest angle: nominal and second motion, −1 for none
+    worst_rows, angle = [-1, -1], 0.0  # of the largest angle: nominal and second motion, −1 for none
     if len(inserted_indices):
         worst = inserted_indices[np.argmax(inserted_angles[inserted_indices])]
-        rows, angle = [-1, int(inserted_rows[worst])], float(inserted_angles[worst])
+        worst_rows, angle = [-1, int(inserted_rows[worst])], float(inserted_angles[worst])
     if len(pairs) and pair_angles[pairs].max() > angle:
         worst = pairs[np.argmax(pair_angles[pairs])]
-        rows, angle = comparison.pair[worst].tolist(), float(pair_angles[worst])
+        worst_rows, angle = comparison.pair[worst].tolist(), float(pair_angles[worst])
     message = f"the tool is turned by {angle * DEG_PER_RAD:.4f}° from its nominal orientation."
-    yield difference_at(comparison, "orientation", message, rows, len(pairs) + len(inserted_indices))
+    yield difference_at(comparison, "orientation", message, worst_rows, len(pairs) + len(inserted_indices))
 
 
 def _has_other_base(comparison: Comparison) -> bool:
@@ -484,7 +484,7 @@ def _joint_motions_off_path(
     nominal, second = comparison.nominal.motions, comparison.corrected
     motion, rows = kind_changes(comparison)
     is_cut = np.isin(nominal.kind[motion], (LIN, CIRC)) & ~nominal.rapid[motion]
-    begin_row = rows - 1 if second.after is None else second.after[rows]
+    begin_row = second.predecessors[rows]
     # a motion that is its own predecessor begins at an unknown place
     is_known = (begin_row >= 0) & (begin_row != rows) & (np.searchsorted(comparison.pair[:, 1], rows) > 0)
     changes = np.flatnonzero(is_cut & (second.motions.kind[rows] == PTP) & is_known)

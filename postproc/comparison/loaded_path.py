@@ -1,6 +1,8 @@
 """Where the loaded tip goes by each of two programs, at the pairs of their targets and between them.
 
-Both are simulated by `simulation.DrivenProgram`, under the force that acts where the tool is on the nominal path.
+Both are simulated by `simulation.DrivenProgram`, under the force that acts where the tool is on the nominal path. A
+place on a path is its arc length from the start of the program, or a motion (row of `Motions`) and t on it, 0 at its
+start and 1 at its end. A stretch is the path from one pair to the next.
 """
 
 from __future__ import annotations
@@ -240,11 +242,12 @@ class Stretches(Struct, frozen=True, eq=False):
         motion whose start is not corrected.
         """
         m, (nominal_rows, corrected_rows) = nominal_path.program.motions, comparison.pair.T
-        unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & np.isnan(m.joints[:, 0])
+        is_axis_target = np.isfinite(m.joints[:, 0])
+        is_unknown = (np.isin(m.kind, (PTP, SPL)) | m.rapid) & ~is_axis_target
         # number of unknown motions before each motion; the last element is that of all motions
-        unknown_before = np.append(0, np.cumsum(unknown | _has_uncorrected_start(nominal_path)))
+        unknown_count = np.append(0, np.cumsum(is_unknown | _has_uncorrected_start(nominal_path)))
         # stretch k is behind the motion of pair k − 1, up to that of pair k; the first one begins with motion 0
-        unknown_at_limits = unknown_before[np.append(0, nominal_rows + 1)]
+        count_at_limits = unknown_count[np.append(0, nominal_rows + 1)]
         pairs = np.arange(len(comparison.pair))
         begin, end = stretch_limits(nominal_path, nominal_rows, pairs)
         return cls(
@@ -253,7 +256,7 @@ class Stretches(Struct, frozen=True, eq=False):
             begin=begin,
             end=end,
             corrected_span=np.stack(stretch_limits(corrected_path, corrected_rows, pairs), axis=1),
-            is_comparable=np.diff(unknown_at_limits) == 0,
+            is_comparable=np.diff(count_at_limits) == 0,
         )
 
     def _is_on_comparable_stretch(self, row: Ints) -> Bools:
@@ -316,12 +319,12 @@ def _has_uncorrected_start(side: PlacedProgram) -> Bools:
 
     The start of the program and axis targets are not corrected, unless the arm at rest is nominal.
     """
-    m, predecessors = side.program.motions, side.program.after
-    rows = np.arange(len(m))
-    start_rows = rows - 1 if predecessors is None else predecessors
-    # a motion that is its own predecessor begins at an unknown place; row −1, the last one, is the start of the program
-    is_axis_target = np.append(np.isfinite(m.joints[:, 0]), True)[start_rows]
-    return np.asarray((start_rows == rows) | (is_axis_target & (not side.robot_in_cell.rest_is_nominal)))
+    m, predecessors = side.program.motions, side.program.predecessors
+    # a motion that is its own predecessor begins at an unknown place
+    has_unknown_start = predecessors == np.arange(len(m))
+    # row −1, the last one, is the start of the program: it is given by joints too
+    begins_at_joints = np.append(np.isfinite(m.joints[:, 0]), True)[predecessors]
+    return np.asarray(has_unknown_start | (begins_at_joints & (not side.robot_in_cell.rest_is_nominal)))
 
 
 def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces: Ints, end_length: Array) -> Bools:
@@ -435,17 +438,17 @@ class Search(Struct, frozen=True, eq=False):
         """
         stretch, displacement = self.stretches.stretch[row], self.corrected_path.carriage_displacement(row, t)
         low, high = self.stretches.begin[stretch], self.stretches.end[stretch]
-        # a little behind the end of the motion before, whose force and tool may be others
+        # a little (1e-4: assumed) behind the end of the motion before, whose force and tool may be others
         low = np.minimum(low + _MIN_PIECE_LENGTH * 1e-4, high)
         start = np.clip(guess, low, high)
-        length, distance = self._newton_steps(q, displacement, start, (low, high), sufficient_distance)
+        length, distance = self._newton_steps(q, displacement, start, (low, high), accuracy=sufficient_distance)
         close_distance = max(sufficient_distance, _CLOSE_SHARE * self.nominal_path.robot_in_cell.tolerance)
         distant_rows = np.flatnonzero(distance > close_distance)
         if len(distant_rows):
             q, displacement = q[distant_rows], displacement[distant_rows]
             limits = low[distant_rows], high[distant_rows]
             start = self._nearest_lengths(q, displacement, limits)
-            new_length, new_distance = self._newton_steps(q, displacement, start, limits, _SUFFICIENT_DISTANCE)
+            new_length, new_distance = self._newton_steps(q, displacement, start, limits, accuracy=_SUFFICIENT_DISTANCE)
             is_nearer = new_distance < distance[distant_rows]
             nearer_rows = distant_rows[is_nearer]
             length[nearer_rows], distance[nearer_rows] = new_length[is_nearer], new_distance[is_nearer]
@@ -497,8 +500,8 @@ class Search(Struct, frozen=True, eq=False):
             derivative = (stepped_offset - deviations[rows]) / step[:, None]
             square = np.einsum("ni,ni->n", derivative, derivative)
             slope = np.einsum("ni,ni->n", deviations[rows], derivative)
-            moves_tip = square > _LEAST_RATE**2  # else the path only turns the tool here
-            newton_step = np.where(moves_tip, -slope / np.where(moves_tip, square, 1.0), 0.0)
+            does_tip_move = square > _LEAST_RATE**2  # else the path only turns the tool here
+            newton_step = np.where(does_tip_move, -slope / np.where(does_tip_move, square, 1.0), 0.0)
             length[rows] = np.clip(length[rows] + newton_step, low, high)
             deviations[rows] = self._tip_offset(q[rows], displacement[rows], length[rows])
             new_distance = norm(deviations[rows])
@@ -559,8 +562,7 @@ class Search(Struct, frozen=True, eq=False):
         :param low: (n,) smallest arc lengths, `high` (n,) largest ones [m].
         """
         fractions = np.linspace(0.0, 1.0, _START_VALUES)
-        whole = (high - low)[:, None]
-        ramp = np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, whole)
-        return np.asarray(
-            low[:, None] + np.sort(np.hstack([whole * fractions, ramp * fractions, whole * _FIRST_SHARES]), axis=1)
-        )
+        stretch_length = (high - low)[:, None]
+        ramp_length = np.minimum(_RAMPS * self.nominal_path.robot_in_cell.ramp, stretch_length)
+        distances = np.hstack([stretch_length * fractions, ramp_length * fractions, stretch_length * _FIRST_SHARES])
+        return np.asarray(low[:, None] + np.sort(distances, axis=1))

@@ -75,20 +75,23 @@ def partners(nominal_track: Track, corrected_track: Track) -> Ints:
     """Return the partner (n,) of each target of the nominal program: its index in the other, ascending; −1 for none."""
     partner = np.full(len(nominal_track), _NO_PARTNER)
     if len(corrected_track) < len(nominal_track):  # the assignment needs the one with inserted targets second
-        indices = partners(corrected_track, nominal_track)
-        paired_rows = np.flatnonzero(indices != _NO_PARTNER)
-        partner[indices[paired_rows]] = paired_rows
+        nominal_index = partners(corrected_track, nominal_track)
+        corrected_rows = np.flatnonzero(nominal_index != _NO_PARTNER)
+        partner[nominal_index[corrected_rows]] = corrected_rows
         return partner
     # the common begin and the common end need no search
-    begin = _common_length(nominal_track, corrected_track)
-    partner[:begin] = np.arange(begin)
-    common_end = _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track))
-    end = min(common_end, len(nominal_track) - begin)
-    nominal_range, corrected_range = slice(begin, len(nominal_track) - end), slice(begin, len(corrected_track) - end)
+    first = _common_length(nominal_track, corrected_track)
+    partner[:first] = np.arange(first)
+    end_count = _common_length(_reverse_track(nominal_track), _reverse_track(corrected_track))
+    end_count = min(end_count, len(nominal_track) - first)
+    nominal_range = slice(first, len(nominal_track) - end_count)
+    corrected_range = slice(first, len(corrected_track) - end_count)
     partner[nominal_range.stop :] = np.arange(corrected_range.stop, len(corrected_track))
-    last_pair = (nominal_track.position[begin - 1], corrected_track.position[begin - 1]) if begin else None
-    indices = _assign_partners(_part(nominal_track, nominal_range), _part(corrected_track, corrected_range), last_pair)
-    partner[nominal_range] = np.where(indices == _NO_PARTNER, _NO_PARTNER, indices + begin)
+    last_pair = (nominal_track.position[first - 1], corrected_track.position[first - 1]) if first else None
+    inner_partner = _assign_partners(
+        _part(nominal_track, nominal_range), _part(corrected_track, corrected_range), last_pair
+    )
+    partner[nominal_range] = np.where(inner_partner == _NO_PARTNER, _NO_PARTNER, inner_partner + first)
     for _ in range(_PASSES):
         _settle_partners(nominal_track, corrected_track, partner)
     return partner
@@ -139,7 +142,8 @@ def _noticeable_change(step: Array) -> Array:
 def _common_length(nominal_track: Track, corrected_track: Track) -> int:
     """Return the number of equal steps at the beginning of two tracks, less the last two before they differ.
 
-    The partners of these two are uncertain: they are sought together with those of the targets that differ.
+    A step leads from one target to the next; it is equal if neither its length nor the offset of the tracks changes.
+    The partners of the last two are uncertain: they are sought together with those of the targets that differ.
     """
     count = min(len(nominal_track), len(corrected_track))
     offset = corrected_track.position[:count] - nominal_track.position[:count]
@@ -169,7 +173,7 @@ class _States(Struct, eq=False):
 
 
 class _Origin(NamedTuple):
-    """The pair before each possible pair of one nominal target, in the cheapest assignment.
+    """The pair before each possible pair of one nominal target, in the cheapest assignment: for the way back.
 
     :param window: (k,) possible partners of the target, consecutive.
     :param row: (k,) nominal target of the pair before; −1 for none.
@@ -184,22 +188,25 @@ class _Origin(NamedTuple):
 def _assign_partners(nominal_track: Track, corrected_track: Track, last_pair: tuple[Array, Array] | None) -> Ints:
     """Return the partners (n,) of nominal targets in the second program, by dynamic programming; −1 for none.
 
-    A run of equal targets is paired at once, after a pair of equal targets.
+    A state is an assignment of the targets so far, with its cost; the cheapest ones are kept. A run of equal targets is
+    paired at once, after a pair of equal targets.
 
     :param last_pair: positions (3,) of the pair before both tracks begin [m]; None: it is not known.
     """
     if not len(nominal_track) or not len(corrected_track):
         return np.full(len(nominal_track), _NO_PARTNER)
-    start = np.zeros((1, 3)) if last_pair is None else (last_pair[1] - last_pair[0])[None]
+    start_offset = np.zeros((1, 3)) if last_pair is None else (last_pair[1] - last_pair[0])[None]
     tracks = _Tracks.of(nominal_track, corrected_track, has_last_pair=last_pair is not None)
     assignment = np.full(len(nominal_track), _NO_PARTNER)
-    states = _States(np.array([_NO_PARTNER]), np.array([_NO_PARTNER]), np.zeros(1), start)
+    states = _States(
+        partner=np.array([_NO_PARTNER]), row=np.array([_NO_PARTNER]), cost=np.zeros(1), offset=start_offset
+    )
     origins: dict[int, _Origin] = {}  # of each target since the last run of equal ones
     row = 0
     while row < len(nominal_track):
         cheapest = int(np.argmin(states.cost))
-        # the target before is paired with an equal one
-        if states.row[cheapest] == row - 1 >= 0 and norm(states.offset[cheapest]) < _EQUAL_DISTANCE:
+        is_previous_paired = states.row[cheapest] == row - 1 >= 0
+        if is_previous_paired and norm(states.offset[cheapest]) < _EQUAL_DISTANCE:
             first_partner = int(states.partner[cheapest]) + 1
             run_length = _equal_count(nominal_track, corrected_track, row, first_partner)
             if run_length >= _MIN_RUN:  # nothing else is more likely
@@ -278,7 +285,7 @@ class _Tracks(Struct, frozen=True, eq=False):
         """
         offset = self.corrected.position[window] - self.nominal.position[row]
         offset_change = norm(offset[:, None] - states.offset)
-        # lengths of path from the last pair of each state to the new pair
+        # lengths of path from the last pair of each state to the new pair; `lengths` begins with the start of the track
         length = self.lengths[row + 1] - self.lengths[states.row + 1]
         corrected_length = self.corrected_lengths[window + 1][:, None] - self.corrected_lengths[states.partner + 1]
         length_change = np.abs(corrected_length - length)
@@ -286,7 +293,8 @@ class _Tracks(Struct, frozen=True, eq=False):
         cost = np.minimum(np.log1p(offset_change / scale), _MAX_CHANGE_COST)
         if not self.has_last_pair:  # the first pair may have any offset, but no target should precede it
             cost[:, states.row == _NO_PARTNER] = 0.0
-        weight = np.where(window[:, None] - states.partner > 1, 1.0, _LENGTH_WEIGHT)
+        has_passed_targets = window[:, None] - states.partner > 1  # of the second program, between the two pairs
+        weight = np.where(has_passed_targets, 1.0, _LENGTH_WEIGHT)
         cost += weight * np.minimum(np.log1p(length_change / scale), _MAX_CHANGE_COST)
         cost += _LENGTH_COST * np.minimum(length_change / _EXCESS_LENGTH, 1.0)
         cost += states.cost

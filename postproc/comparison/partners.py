@@ -1,4 +1,7 @@
-"""Which target of the second program belongs to which of the nominal one: pairs, and what has no partner."""
+"""Which target of the second program belongs to which of the nominal one: pairs, and what has no partner.
+
+A pair is a nominal target and its partner, the target of the second program that is to be the same place on the part.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +35,10 @@ more, the second program is another one (assumed)."""
 
 
 def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
-    """Return the partner (n,) of each of `nominal_path.rows`: its index in `corrected_path.rows`; −1 for none."""
+    """Return the partner (n,) of each target of the nominal program: its index in `corrected_path.rows`; −1 for none.
+
+    `PlacedProgram.rows` are the motions of a program that have a Cartesian target.
+    """
     partner = np.full(len(nominal_path.rows), -1)
     partner[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])] = np.searchsorted(
         corrected_path.rows, comparison.pair[:, 1]
@@ -75,6 +81,7 @@ def partners_under_force(
     :raises ForceError: the arm has no equilibrium under a force.
     """
     tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
+    # a PTP is no partner of a line or an arc
     is_ptp = nominal_path.program.motions.kind[nominal_path.rows] == PTP
     is_corrected_ptp = corrected_path.program.motions.kind[corrected_path.rows] == PTP
     for _ in range(2):  # a partner that the first pass replaced may be that of a neighbour
@@ -112,14 +119,17 @@ def _loaded_distances(
 
 
 def _free_neighbours(partner: Ints, k: int, count: int) -> Ints:
-    """Return the targets of the second program between the partners of the targets before and after `k`, ascending.
+    """Return the targets of the second program that nominal target `k` may have as partner, ascending.
+
+    They are between the partners of the targets before and after it.
 
     :param partner: (n,) indices of the partners, ascending; −1 for none.
     :param count: number of targets of the second program.
     """
-    lower_partners, upper_partners = (side[side >= 0] for side in (partner[:k], partner[k + 1 :]))
-    begin = lower_partners[-1] + 1 if len(lower_partners) else 0
-    return np.arange(begin, upper_partners[0] if len(upper_partners) else count)
+    preceding_partners, following_partners = (side[side >= 0] for side in (partner[:k], partner[k + 1 :]))
+    begin = preceding_partners[-1] + 1 if len(preceding_partners) else 0
+    end = following_partners[0] if len(following_partners) else count
+    return np.arange(begin, end)
 
 
 class _PairedTargets(NamedTuple):
@@ -146,16 +156,17 @@ def _paired_targets(nominal_path: PlacedProgram, corrected_path: PlacedProgram, 
 
 
 def pair_targets(
-    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, certain: Bools
+    nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, is_certain: Bools
 ) -> Comparison:
     """Return the comparison of `nominal_path.rows` with their partners.
 
     All nominal targets without a partner count as missing until `judge_unpaired`; there are no forces and differences.
 
     :param partner: (n,) index in `corrected_path.rows`; −1 for none.
-    :param certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
+    :param is_certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
     """
     nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
+    # (P, 2) motions of both programs
     pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
     targets = _paired_targets(nominal_path, corrected_path, pair)
     is_joint_motion = corrected.motions.kind[targets.unpaired_rows] == PTP
@@ -167,7 +178,7 @@ def pair_targets(
             pair,
             offset=targets.twist[:, :3],
             rows=rows_off_path,
-            certain=certain[has_partner],
+            is_certain=is_certain[has_partner],
         )
         targets = _paired_targets(nominal_path, corrected_path, pair)
     curves = Curves.of(nominal_path, corrected_path, pair)
@@ -252,9 +263,10 @@ def missed_targets(
 ) -> tuple[Array, Bools]:
     """Return the distances of the second path from nominal targets without partner (n,) [m], and which it passes (n,).
 
-    With forces, a target is passed within the tolerance. Without forces the correction is unknown: the difference of
-    the offsets of the two neighbouring pairs is subtracted from the distance, and a point that only divides a line or
-    an arc is passed within a multiple of these offsets.
+    A target without partner is passed if the second path goes through it, and missing if not. With forces, it is passed
+    within the tolerance. Without forces the correction is unknown: the difference of the offsets of the two
+    neighbouring pairs is subtracted from the distance, and a point that only divides a line or an arc is passed within
+    a multiple of these offsets.
 
     :param load: forces along the nominal program; None if they are not known.
     :raises ForceError: the arm has no equilibrium under a force.
@@ -294,7 +306,7 @@ def moved_pairs(
     *,
     offset: Array,
     rows: Ints,
-    certain: Bools,
+    is_certain: Bools,
 ) -> Ints:
     """Return pairs (P, 2) in which moved targets replace their inserted neighbours.
 
@@ -304,12 +316,12 @@ def moved_pairs(
 
     :param pair: (P, 2) motions of the pairs, `offset` (P, 3) of their targets [m].
     :param rows: (r,) motions of the second program without a partner, off the nominal path.
-    :param certain: (P,) True for pairs that are right for certain.
+    :param is_certain: (P,) True for pairs that are right for certain.
     """
     pair, distance = pair.copy(), norm(offset)
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
     # the offset of the pair is unlike those of both neighbours
-    is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~certain
+    is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~is_certain
     target_number = {row: number for number, row in enumerate(corrected_path.rows.tolist())}  # of motions with a target
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
@@ -381,12 +393,16 @@ def _is_on_path(
 def _has_ptp_before(side: PlacedProgram, paired_rows: Ints) -> Bools:
     """Return for each pair (P,) whether a PTP to a Cartesian target, whose path is not known, is on the stretch to it.
 
+    The stretch to a pair is the path from the pair before it.
+
     :param paired_rows: (P,) motions of the program that end at the pairs.
     """
     m = side.program.motions
+    is_axis_target = np.isfinite(m.joints[:, 0])
+    ptp_count = np.append(0, np.cumsum((m.kind == PTP) & ~is_axis_target))  # before each motion, and in all
     # two ends of a stretch with the same count have no PTP between them
-    ptp_count = np.append(0, np.cumsum((m.kind == PTP) & np.isnan(m.joints[:, 0])))[np.append(-1, paired_rows) + 1]
-    return np.asarray(np.diff(ptp_count) > 0)
+    count_at_ends = ptp_count[np.append(-1, paired_rows) + 1]
+    return np.asarray(np.diff(count_at_ends) > 0)
 
 
 def missing_distances(

@@ -239,7 +239,7 @@ class Chain(Struct, frozen=True, eq=False):
         :param paired_rows: (P,) motions of the program that end at the pairs.
         """
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
-        pair = np.searchsorted(paired_rows, row)
+        pair = np.searchsorted(paired_rows, row)  # the pair to which each motion leads
         previous_row, next_row = paired_rows[pair - 1], paired_rows[pair]
         begin_length, end_length = stretch_limits(side, paired_rows, pair)
         stretch_length = end_length - begin_length
@@ -250,7 +250,7 @@ class Chain(Struct, frozen=True, eq=False):
         return cls(side.program, side.segments, row, pair, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
-        """Return the places (motion, t), each (n,), at u (n,), 0 < u <= P − 1."""
+        """Return the motions (n,) and the places t (n,) on them, in (0, 1], at u (n,), 0 < u <= P − 1."""
         index = np.minimum(np.searchsorted(self.end, u), len(self.end) - 1)
         width = np.maximum(self.end[index] - self.begin[index], NO_DISTANCE)
         return self.row[index], np.clip((u - self.begin[index]) / width, SMALLEST_SHARE, 1.0)
@@ -380,7 +380,7 @@ class Curves(Struct, frozen=True, eq=False):
 
 
 def _pair_at_end(u: Array) -> Ints:
-    """Return the pairs (n,) at the ends of the stretches that contain places u (n,); pair k is at u = k."""
+    """Return the pairs (n,) to which the path leads at places u (n,); pair k is at u = k."""
     return np.asarray(np.ceil(u - NO_DISTANCE).astype(np.int64))
 
 

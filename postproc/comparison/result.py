@@ -25,7 +25,7 @@ _SPEED_SHARE, _LEAST_SPEED_CHANGE = 1e-3, 1e-6
 
 
 class Cuts(Struct, frozen=True, eq=False):
-    """Deviations of the loaded tip from the nominal path under the same force.
+    """Deviations of the loaded tip from the nominal path, by each program under the same force: what each cuts.
 
     :param wrench: (P, 6) at the tip at each pair, `$BASE` axes of the nominal program [N, N·m].
     :param nominal: (P, 3) tip minus nominal target by the nominal program, its `$BASE` [m].
@@ -120,12 +120,14 @@ class Comparison(Struct, frozen=True, eq=False, dict=True):
     @cached_property
     def cut_length(self) -> Array:
         """(P,) length of the nominal cutting path for which each pair stands [m], see `toolpath.cut_lengths`."""
-        # without forces it is not known whether one goes on: each pair stands for the path that leads to it
-        goes_on = np.zeros(len(self.pair), dtype=bool)
+        # True where the force of the pair before goes on; not known without forces: each pair then stands for the path
+        # that leads to it
+        force_goes_on = np.zeros(len(self.pair), dtype=bool)
         if self.cuts is not None:
-            goes_on[1:] = (self.cuts.wrench[1:] == self.cuts.wrench[:-1]).all(axis=1)
+            force_goes_on[1:] = (self.cuts.wrench[1:] == self.cuts.wrench[:-1]).all(axis=1)
         motion = self.pair[:, 0]
-        return toolpath.cut_lengths(self.nominal.motions, self.path_length, motion, np.ones(len(motion)), goes_on)
+        motion_ends = np.ones(len(motion))  # place t = 1 on each motion
+        return toolpath.cut_lengths(self.nominal.motions, self.path_length, motion, motion_ends, force_goes_on)
 
     @property
     def target(self) -> Array:
@@ -175,9 +177,10 @@ def wrench_in_nominal_base(comparison: Comparison, wrench: Array) -> Array:
 
     :param wrench: (P, 6) in root axes.
     """
-    rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
+    base_rotation = comparison.nominal.bases[comparison.nominal.motions.base[comparison.pair[:, 0]], :3, :3]
     force_and_moment = wrench.reshape(-1, 2, 3)
-    return np.asarray(np.einsum("nji,nkj->nki", rotation, force_and_moment)).reshape(-1, 6)
+    # Rᵀ times each vector: from root axes to those of the base
+    return np.asarray(np.einsum("nji,nkj->nki", base_rotation, force_and_moment)).reshape(-1, 6)
 
 
 def place_of(program: Program, row: int) -> tuple[str, int]:

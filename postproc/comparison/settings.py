@@ -96,8 +96,9 @@ def kind_changes(comparison: Comparison) -> tuple[Ints, Ints]:
     nominal_kind, corrected_kind = nominal.kind[motion], comparison.corrected.motions.kind[rows]
     indices = np.flatnonzero((nominal_kind != corrected_kind) & ~((nominal_kind == CIRC) & (corrected_kind == LIN)))
     # a nominal target without partner before the pair may be of the same kind: the motion may belong to it
-    previous_motion = np.append(-1, comparison.pair[:, 0])[next_pair]
-    cartesian_kind = np.where(np.isnan(nominal.joints[:, 0]), nominal.kind, -1)
+    previous_motion = np.append(-1, comparison.pair[:, 0])[next_pair]  # that of the pair before; −1: none
+    is_axis_target = np.isfinite(nominal.joints[:, 0])
+    cartesian_kind = np.where(is_axis_target, -1, nominal.kind)
     has_unpaired_kind = [corrected_kind[k] in cartesian_kind[previous_motion[k] + 1 : motion[k]] for k in indices]
     indices = indices[~np.array(has_unpaired_kind, dtype=bool)]
     return motion[indices], rows[indices]
@@ -107,9 +108,9 @@ def _approximation_differences(comparison: Comparison) -> Iterator[Difference]:
     """Yield a warning if targets are approximated by another distance; nothing for G-code, whose writer chooses it."""
     if not comparison.nominal.keeps_text:
         return
-    nominal_blend, corrected_blend = (
-        p.motions.blend[rows]
-        for p, rows in zip((comparison.nominal, comparison.corrected), comparison.pair.T, strict=True)
+    nominal_blend, corrected_blend = (  # approximation distances (P,) [m]; 0: an exact stop
+        program.motions.blend[rows]
+        for program, rows in zip((comparison.nominal, comparison.corrected), comparison.pair.T, strict=True)
     )
     pairs = np.flatnonzero(np.abs(corrected_blend - nominal_blend) > SAME_LENGTH)
     if len(pairs):
@@ -280,14 +281,17 @@ class _FramesOfPairs(NamedTuple):
     corrected_index: Ints
 
 
-def force_differences(comparison: Comparison, corrected_path: PlacedProgram, *, in_file: bool) -> Iterator[Difference]:
+def force_differences(
+    comparison: Comparison, corrected_path: PlacedProgram, *, has_force_file: bool
+) -> Iterator[Difference]:
     """Yield a warning if force comments of the second program give other forces than the nominal program has.
 
-    :param in_file: the nominal program has its forces from a file: comments in both programs must then be the same.
+    :param has_force_file: the nominal program has its forces from a file: comments in both programs must then be the
+        same.
     """
     if comparison.cuts is None or not comparison.corrected.notes:
         return
-    if in_file and comparison.nominal.notes:
+    if has_force_file and comparison.nominal.notes:
         yield from _force_comment_differences(comparison)
         return
     load, corrected_rows = corrected_path.forces(None), comparison.pair[:, 1]

@@ -117,14 +117,15 @@ def singularity_issues(
     :param q: (N, 6) commanded joint angles [rad].
     :param sparse_motions: (n,) motions with samples far apart, for which a large turn between samples is normal.
     """
-    form = kinematics.closed_form(robot)
-    is_cartesian = program.motions.kind[sample.motion] != PTP
-    wrist = is_cartesian & (np.abs(q[:, 4]) < _WRIST_ANGLE)
-    elbow = is_cartesian & (np.abs(form.elbow_angle_from_stretched(q)) < _ELBOW_ANGLE)
-    shoulder = is_cartesian & (np.abs(form.wrist_distance_ahead_of_a1(q)) < SHOULDER_RADIUS)
-    has_jump = is_cartesian & (largest(np.diff(q, axis=0, prepend=q[:1])) > _JUMP_ANGLE)
+    geometry = kinematics.closed_form(robot)
+    is_path_motion = program.motions.kind[sample.motion] != PTP  # a PTP passes singularities without harm
+    is_wrist = is_path_motion & (np.abs(q[:, 4]) < _WRIST_ANGLE)
+    is_elbow = is_path_motion & (np.abs(geometry.elbow_angle_from_stretched(q)) < _ELBOW_ANGLE)
+    # distance of the wrist centre from the axis of A1 [m]
+    is_shoulder = is_path_motion & (np.abs(geometry.wrist_distance_ahead_of_a1(q)) < SHOULDER_RADIUS)
+    has_jump = is_path_motion & (largest(np.diff(q, axis=0, prepend=q[:1])) > _JUMP_ANGLE)
     # samples of motions that do not follow each other are not connected: a turn between them is no jump
-    has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(wrist | elbow | shoulder)
+    has_jump &= (np.diff(sample.motion, prepend=sample.motion[:1]) <= 1) & ~(is_wrist | is_elbow | is_shoulder)
     has_jump &= ~np.isin(sample.motion, sparse_motions)
     samples, is_flip = np.flatnonzero(has_jump), np.zeros(len(q), dtype=np.bool_)
     fastest_joint = np.argmax(np.abs(q[samples] - q[samples - 1]), axis=1)
@@ -132,9 +133,9 @@ def singularity_issues(
     advice = f"Move the part or {_turn_advice(program)}."
     flip_problem = "wrist singularity: A5 passes through or near 0°, A4 and A6 turn by more than 45° at once"
     for is_bad, kind, problem in (
-        (wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
-        (elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
-        (shoulder, "shoulder-singularity", "shoulder singularity: the wrist is above the A1 axis"),
+        (is_wrist, "wrist-singularity", "wrist singularity: A5 passes through 0°"),
+        (is_elbow, "elbow-singularity", "elbow singularity: the arm is stretched out"),
+        (is_shoulder, "shoulder-singularity", "shoulder singularity: the wrist is above the A1 axis"),
         (has_jump & is_flip, "wrist-singularity", flip_problem),
         (has_jump & ~is_flip, "joint-jump", "singularity: a joint turns by more than 45° on a short piece of path"),
     ):
@@ -152,13 +153,13 @@ def half_turn_issues(program: Program, sample: Toolpath, turn: Array, pose: Pose
     """
     m = program.motions
     has_open_direction = m.kind != PTP
-    if program.turning is not None:
+    if program.turning is not None:  # rotary axes, or the axes of the wrist, turn the tool: they have a direction
         has_open_direction &= ~program.turning.active
     rotation = turn if program.turns_with_path is None else turn - np.where(program.turns_with_path, m.sweep, 0.0)
     motion = np.flatnonzero(has_open_direction & (rotation > np.pi - _HALF_TURN_MARGIN))
     if not len(motion):
         return
-    previous = motion - 1 if program.after is None else program.after[motion]
+    previous = program.predecessors[motion]
     ends = np.flatnonzero(sample.is_end)[np.stack([motion, previous])]
     is_corrected = np.abs(twist_between(sample.pose[ends], pose[ends])).max(axis=2) > _CORRECTED_TWIST
     may_reverse = is_corrected.any(axis=0) & (previous >= 0) & np.isnan(m.joints[previous, 0])
@@ -250,18 +251,18 @@ def start_height_issues(program: Program, tip: Array, clearance: float | None) -
         return
     if norm(tip[0] - m.target.position[0]) < _START_DISTANCE:
         return
-    target = float(m.target.position[0, 2])
-    start, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())
-    start_limit, start_name = target, "the first target"
-    if clearance is not None and clearance > target:
+    target_z = float(m.target.position[0, 2])
+    start_z, lowest_z = float(tip[0, 2]), float(tip[:, 2].min())
+    start_limit, start_name = target_z, "the first target"
+    if clearance is not None and clearance > target_z:
         start_limit, start_name = clearance, "clearance_Z"
-    path_limit, path_limit_name = target, "the first target"
-    if clearance is not None and clearance < target:
+    path_limit, path_limit_name = target_z, "the first target"
+    if clearance is not None and clearance < target_z:
         path_limit, path_limit_name = clearance, "clearance_Z"
-    if start_limit - start > _START_DEPTH:
+    if start_limit - start_z > _START_DEPTH:
         problem = (
-            f"The first move begins below {start_name}: at [start] the tip is at Z {start * MM_PER_M:.1f} mm of $BASE, "
-            f"{(start_limit - start) * MM_PER_M:.1f} mm below it."
+            f"The first move begins below {start_name}: at [start] the tip is at Z {start_z * MM_PER_M:.1f} mm of "
+            f"$BASE, {(start_limit - start_z) * MM_PER_M:.1f} mm below it."
         )
     elif path_limit - lowest_z > _START_DEPTH:
         problem = (
@@ -305,7 +306,7 @@ def joint_speed(program: Program, sample: Toolpath, turn: Array, q: Array, posit
     :param q: (N, 6) commanded joint angles [rad].
     :param position: (N, 3) commanded positions [m]: the controller's path speed is along these.
     """
-    m, motion = program.motions, sample.motion[1:]  # of the step before each sample but the first
+    m, motion = program.motions, sample.motion[1:]  # motion of the step to each sample but the first
     feed = m.feed[motion]
     nominal_travel = norm(np.diff(sample.pose.position, axis=0))
     travel = np.maximum(nominal_travel, norm(np.diff(position, axis=0)))
@@ -384,7 +385,8 @@ def _round_down(value: float) -> str:
 def joint_issues_at_joins(program: Program, sample: Toolpath, q: Array, start: Array) -> Iterator[Issue]:
     """Yield an issue if branches, or rounds of an endless loop, end in one pose with a joint that differs by a turn.
 
-    The pose of the tool is the same, but the motions after it would begin with that joint 360° farther each time.
+    A join is where branches that are chosen at run time meet again (`Program.joins`). The pose of the tool is the same,
+    but the motions after it would begin with that joint 360° farther each time.
 
     :param sample: N samples of the path.
     :param q: (N, 6) commanded joint angles of the samples [rad].
@@ -410,6 +412,8 @@ def joint_issues_at_joins(program: Program, sample: Toolpath, q: Array, start: A
 
 def correction_issues_at_joins(program: Program, sample: Toolpath, pose: Poses, wrench: Runs) -> Iterator[Issue]:
     """Yield an issue if branches taken at run time have different corrections at a control-flow join.
+
+    A join is where branches that are chosen at run time meet again (`Program.joins`).
 
     :param sample: N samples of the path.
     :param pose: N commanded tool frames, `$BASE` [m].

@@ -78,7 +78,7 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
     table = robot_in_cell.cell.collision
     if table is None:
         return None, []
-    need = table.clearance_mm * M_PER_MM
+    least_distance = table.clearance_mm * M_PER_MM
     sample, nominal_q, commanded_q = _refine_arcs(path, commanded_q)
     scenes: dict[int, Scene] = {}  # by tool
     smallest: SmallestClearance | None = None
@@ -89,7 +89,7 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
             scenes[run.tool] = collision.Scene.of(robot_in_cell.robot, robot_in_cell.cell, program.tools[run.tool])
         scene = scenes[run.tool]
         states = _states_of_run(path, sample, nominal_q, commanded_q, run)
-        hits = collision.path_hits(scene, states.q, need, states.shift, states.commanded_q)
+        hits = collision.path_hits(scene, states.q, least_distance, states.shift, states.commanded_q)
         largest_decrease = max(largest_decrease, hits.largest_decrease)
         clearance = _clearance_of_run(program, scene, states, hits, stock)
         if smallest is None or clearance.distance < smallest.distance:
@@ -97,9 +97,9 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
         first_motion = int(states.motion[0])
         begins_at_start = run.previous < 0 and program.motions.kind[first_motion] == PTP
         # bodies that are too close at the end of the first move too are not so by the choice of [start]
-        arrival_pairs = _close_pairs(scene, states.arrival(), stock, need) if begins_at_start else set()
+        arrival_pairs = _close_pairs(scene, states.arrival(), stock, least_distance) if begins_at_start else set()
         rapid = program.motions.rapid[states.motion] & ~_retracts(path, sample, run)
-        for contact in _contacts(scene, states, hits, rapid, stock, need):
+        for contact in _contacts(scene, states, hits, rapid, stock, least_distance):
             is_first_move = begins_at_start and contact.motion == first_motion
             close_bodies.add(contact, is_only_on_first_move=is_first_move and contact.names not in arrival_pairs)
     if smallest is None:
@@ -111,13 +111,18 @@ def path_clearance(path: PathUnderLoad, commanded_q: Array) -> tuple[SmallestCle
 def _states_of_run(path: PathUnderLoad, sample: Toolpath, nominal_q: Array, commanded_q: Array, run: Run) -> States:
     """Return the states of the robot at the samples of a run, and before them.
 
+    A run: samples that the robot reaches one after another with one tool.
+
     :param sample: N samples of the path.
     :param nominal_q: (N, 6) joint angles of the nominal path at the samples [rad].
     :param commanded_q: (N, 6) commanded joint angles there [rad].
     """
-    rows = slice(run.previous, run.previous + 1)
+    previous_row = slice(run.previous, run.previous + 1)
+    begins_at_start = run.previous < 0  # where the program starts
     start = path.robot_in_cell.cell.start_joints[None]
-    start_q, start_commanded_q = (start, start) if run.previous < 0 else (nominal_q[rows], commanded_q[rows])
+    start_q, start_commanded_q = (
+        (start, start) if begins_at_start else (nominal_q[previous_row], commanded_q[previous_row])
+    )
     q = np.concatenate([start_q, nominal_q[run.rows]])
     corrected_q = np.concatenate([start_commanded_q, commanded_q[run.rows]])
     is_corrected = not np.array_equal(q, corrected_q)
@@ -182,9 +187,10 @@ def _refine_arcs(path: PathUnderLoad, commanded_q: Array) -> _DensePath:
     arcs, sample = path.motions.segments.arcs, path.sample
     motion, t, q = sample.motion, sample.t, path.joints.q
     chord_count = np.zeros(len(path.program.motions))
-    # a chord over an angle α has the sagitta R·(1 − cos(α/2)); the count of such chords need not be whole
+    # a chord over an angle α has the sagitta R·(1 − cos(α/2)); the count of such chords may be a fraction
     chord_count[arcs.motion] = arcs.sweep / (2.0 * np.arccos(1.0 - np.minimum(_SAGITTA / norm(arcs.radial), 1.0)))
-    begin = np.where(np.append(False, motion[1:] == motion[:-1]), np.roll(t, 1), 0.0)
+    is_same_motion = np.append(False, motion[1:] == motion[:-1])  # as the sample before
+    begin = np.where(is_same_motion, np.roll(t, 1), 0.0)
     parts = np.ceil(chord_count[motion] * (t - begin) - _ROUNDING).astype(np.int64).clip(1)
     if (parts == 1).all():
         return _DensePath(sample, q, commanded_q)
@@ -210,8 +216,8 @@ def _retracts(path: PathUnderLoad, sample: Toolpath, run: Run) -> Bools:
     previous = np.arange(rows.start, rows.stop) - 1
     previous[0] = max(run.previous, 0)
     step = pose[rows, :3, 3] - pose[previous, :3, 3]
-    up = -pose[rows, :3, :3] @ np.array(SPINDLE_AXES[path.robot_in_cell.spindle])
-    return np.asarray(np.einsum("ni,ni->n", step, up) >= (1.0 - _AXIS_SHARE) * norm(step))
+    to_spindle = -pose[rows, :3, :3] @ np.array(SPINDLE_AXES[path.robot_in_cell.spindle])  # (n, 3) unit vectors
+    return np.asarray(np.einsum("ni,ni->n", step, to_spindle) >= (1.0 - _AXIS_SHARE) * norm(step))
 
 
 class _ClosePair(Struct, frozen=True):
@@ -220,14 +226,14 @@ class _ClosePair(Struct, frozen=True):
     :param distance: smallest distance [m]; 0 where they touch.
     :param line: source line on which it is reached.
     :param lines: all source lines on which they are too close.
-    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param least_distance: smallest allowed distance [m]; 0: they must not touch.
     :param is_only_on_first_move: True if the smallest distance is on the way from [start], and not at its end.
     """
 
     distance: float
     line: int
     lines: frozenset[int]
-    need: float
+    least_distance: float
     is_only_on_first_move: bool
 
 
@@ -242,10 +248,12 @@ class _CloseBodies:
     def add(self, contact: Contact, *, is_only_on_first_move: bool) -> None:
         """Add a contact; `is_only_on_first_move`: on the way from [start], and not at its end."""
         line = int(self._motions.line[contact.motion])
-        pair = _ClosePair(contact.distance, line, frozenset([line]), contact.need, is_only_on_first_move)
+        pair = _ClosePair(contact.distance, line, frozenset([line]), contact.least_distance, is_only_on_first_move)
         known_pair = self._pairs.get(contact.names, pair)
         nearest = pair if pair.distance < known_pair.distance else known_pair
-        self._pairs[contact.names] = replace(nearest, lines=known_pair.lines | pair.lines, need=contact.need)
+        self._pairs[contact.names] = replace(
+            nearest, lines=known_pair.lines | pair.lines, least_distance=contact.least_distance
+        )
 
     def issues(self) -> list[Issue]:
         """Return an error for each two bodies."""
@@ -317,7 +325,11 @@ def _issue(names: tuple[str, str], pair: _ClosePair, stock_source_and_advice: tu
     """
     first, second = names
     verb = "touches or is inside" if pair.distance == 0.0 else f"comes within {pair.distance * MM_PER_M:.2g} mm of"
-    demand = f"[collision] asks for {pair.need * MM_PER_M:g} mm" if pair.need > 0.0 else "it may not touch it here"
+    demand = (
+        f"[collision] asks for {pair.least_distance * MM_PER_M:g} mm"
+        if pair.least_distance > 0.0
+        else "it may not touch it here"
+    )
     advice = "Move the part, turn the tool, or correct the bodies in the cell"
     source, place = "", ""
     if stock_source_and_advice is not None:
@@ -362,30 +374,32 @@ class States(Struct, frozen=True, eq=False):
         return States(self.motion[low:high], self.q[rows], commanded_q, shift)
 
 
-def _close_pairs(scene: Scene, states: States, stock: StockInTime | None, need: float) -> set[tuple[str, str]]:
+def _close_pairs(
+    scene: Scene, states: States, stock: StockInTime | None, least_distance: float
+) -> set[tuple[str, str]]:
     """Return the names of bodies that come closer than allowed along a path that cuts nothing.
 
     :param stock: the stock at each move; None: it is not known, and not compared.
-    :param need: smallest allowed distance [m].
+    :param least_distance: smallest allowed distance [m].
     """
-    hits = collision.path_hits(scene, states.q, need, states.shift, states.commanded_q)
+    hits = collision.path_hits(scene, states.q, least_distance, states.shift, states.commanded_q)
     rapid = np.ones(len(states.motion), dtype=bool)
-    return {contact.names for contact in _contacts(scene, states, hits, rapid, stock, need)}
+    return {contact.names for contact in _contacts(scene, states, hits, rapid, stock, least_distance)}
 
 
 def _contacts(
-    scene: Scene, states: States, hits: Hits, rapid: Bools, stock: StockInTime | None, need: float
+    scene: Scene, states: States, hits: Hits, rapid: Bools, stock: StockInTime | None, least_distance: float
 ) -> Iterator[Contact]:
     """Yield the contacts of all bodies along a path: of the scene, of the cutter with parts, and with the stock.
 
-    :param hits: where bodies of the scene come closer than `need` [m].
+    :param hits: where bodies of the scene come closer than `least_distance` [m].
     :param rapid: (N,) samples on rapid moves along which the tool does not just leave its cut.
     :param stock: the stock at each move; None: it is not known, and not compared.
     """
-    yield from _contacts_of_hits(scene.bodies, states, hits, need)
+    yield from _contacts_of_hits(scene.bodies, states, hits, least_distance)
     yield from part_contacts(scene, states, rapid)
     if stock is not None:
-        yield from stock_contacts(scene, states, stock, need)
+        yield from stock_contacts(scene, states, stock, least_distance)
 
 
 class Contact(Struct, frozen=True):
@@ -394,16 +408,16 @@ class Contact(Struct, frozen=True):
     :param names: their names.
     :param motion: row of `Motions`.
     :param distance: between them [m]; 0 where they touch.
-    :param need: smallest allowed distance [m]; 0: they must not touch.
+    :param least_distance: smallest allowed distance [m]; 0: they must not touch.
     """
 
     names: tuple[str, str]
     motion: int
     distance: float
-    need: float
+    least_distance: float
 
 
-def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float) -> Iterator[Contact]:
+def stock_contacts(scene: Scene, states: States, stock: StockInTime, least_distance: float) -> Iterator[Contact]:
     """Yield the contacts of arm and tool meshes with the stock; on motions that turn the tool, those of the whole tool.
 
     On other motions the whole tool was compared while the stock was swept. The cutter, which is in the stock where it
@@ -411,7 +425,7 @@ def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float
 
     :param states: states of the robot at N samples.
     :param stock: the stock over time.
-    :param need: smallest allowed distance [m]; the cutter must not touch.
+    :param least_distance: smallest allowed distance [m]; the cutter must not touch.
     """
     moving = [body for body in scene.bodies if not body.is_fixed]
     arm_and_meshes = [body for body in moving if body.role == "arm" or (body.role == "tool" and body.kind == "mesh")]
@@ -421,13 +435,13 @@ def stock_contacts(scene: Scene, states: States, stock: StockInTime, need: float
     is_turning = ~stock.is_compared[states.motion]
     is_turning_in_air = is_turning & ~stock.removes_material[states.motion]
     nominal_states = replace(states, commanded_q=None)
-    for bodies, body_states, body_need, rows in (
-        (arm_and_meshes, states, need, all_rows),
-        (tool_shapes, states, need, is_turning),
+    for bodies, body_states, body_distance, rows in (
+        (arm_and_meshes, states, least_distance, all_rows),
+        (tool_shapes, states, least_distance, is_turning),
         (cutters, nominal_states, 0.0, is_turning_in_air),
     ):
         if bodies and rows.any():
-            yield from _StockSearch(scene, bodies, body_states, stock, body_need).contacts(rows)
+            yield from _StockSearch(scene, bodies, body_states, stock, body_distance).contacts(rows)
 
 
 def part_contacts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contact]:
@@ -441,7 +455,7 @@ def part_contacts(scene: Scene, states: States, rapid: Bools) -> Iterator[Contac
         solids = _solids(scene, cutters, parts)
         for low, high in _stretches(rapid):
             nominal_states = replace(states.part(low, high), commanded_q=None)
-            yield from _contacts_of_solids(solids, nominal_states, need=0.0)  # 0: they must not touch
+            yield from _contacts_of_solids(solids, nominal_states, least_distance=0.0)  # 0: they must not touch
 
 
 class _StockSearch:
@@ -453,8 +467,16 @@ class _StockSearch:
     :ivar stock_count: number of stocks that the bodies were compared with.
     """
 
-    def __init__(self, scene: Scene, bodies: Sequence[Body], states: States, stock: StockInTime, need: float) -> None:
-        self.scene, self.bodies, self.states, self.stock, self.need = scene, bodies, states, stock, need
+    def __init__(
+        self, scene: Scene, bodies: Sequence[Body], states: States, stock: StockInTime, least_distance: float
+    ) -> None:
+        self.scene, self.bodies, self.states, self.stock, self.least_distance = (
+            scene,
+            bodies,
+            states,
+            stock,
+            least_distance,
+        )
         self.solids: Solids | None = None
         self.stock_count = 0
 
@@ -494,7 +516,7 @@ class _StockSearch:
         return [
             contact
             for low, high in _stretches(samples)
-            for contact in _contacts_of_solids(solids, self.states.part(low, high), self.need)
+            for contact in _contacts_of_solids(solids, self.states.part(low, high), self.least_distance)
         ]
 
 
@@ -506,20 +528,20 @@ def _solids(scene: Scene, moving: Sequence[Body], fixed_bodies: Sequence[Body]) 
     return Solids(Scene(scene.robot, (*moving, *fixed_bodies)), pairs)
 
 
-def _contacts_of_solids(solids: Solids, states: States, need: float) -> Iterator[Contact]:
-    """Yield the contacts of solids closer than `need` [m] at, or before, the samples of a path."""
-    hits = collision.pair_hits(solids, states.q, need, states.shift, states.commanded_q)
-    yield from _contacts_of_hits(solids.bodies, states, hits, need)
+def _contacts_of_solids(solids: Solids, states: States, least_distance: float) -> Iterator[Contact]:
+    """Yield the contacts of solids closer than `least_distance` [m] at, or before, the samples of a path."""
+    hits = collision.pair_hits(solids, states.q, least_distance, states.shift, states.commanded_q)
+    yield from _contacts_of_hits(solids.bodies, states, hits, least_distance)
 
 
-def _contacts_of_hits(bodies: Sequence[Body], states: States, hits: Hits, need: float) -> Iterator[Contact]:
+def _contacts_of_hits(bodies: Sequence[Body], states: States, hits: Hits, least_distance: float) -> Iterator[Contact]:
     """Yield hits as contacts.
 
     :param bodies: those whose rows are in the hits.
-    :param need: the smallest allowed distance by which they are hits [m].
+    :param least_distance: the smallest allowed distance by which they are hits [m].
     """
     for row, first, second, distance in zip(hits.row, hits.first, hits.second, hits.distance, strict=True):
-        yield Contact(_names(bodies, first, second), states.motion_to(int(row)), float(distance), need)
+        yield Contact(_names(bodies, first, second), states.motion_to(int(row)), float(distance), least_distance)
 
 
 def _stretches(rows: Bools) -> Iterator[tuple[int, int]]:

@@ -25,8 +25,8 @@ _BRANCH_ADVICE = (
 def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, tolerance: float) -> Iterator[Issue]:
     """Yield warnings if a program waits where the force deflects the tool by more than the tolerance.
 
-    At the end of lines and arcs it does not, see `forces.releases`; pieces of splines keep their force to the end, and
-    branches of which not all wait.
+    Lines and arcs that end in a wait are corrected for no force at their end (`forces.releases`), so that nothing
+    happens there. Pieces of splines keep their force to the end, and so do branches of which not all wait.
 
     :param motion: (K,) motion of each target.
     :param t: (K,) place of each target on its motion, in (0, 1].
@@ -34,8 +34,8 @@ def dwell_issues(program: Program, motion: Ints, t: Array, deflection: Array, to
     :param tolerance: [m].
     """
     m = program.motions
-    size = np.where((t == 1.0) & np.isin(motion, program.waiting_motions), norm(deflection), 0.0)
-    size[m.rapid[motion]] = 0.0
+    is_waiting = (t == 1.0) & np.isin(motion, program.waiting_motions) & ~m.rapid[motion]
+    size = np.where(is_waiting, norm(deflection), 0.0)
     is_spline = m.kind[motion] == SPL
     for is_case, advice in ((is_spline, _SPLINE_ADVICE), (~is_spline, _BRANCH_ADVICE)):
         rows = np.flatnonzero(is_case & (size > tolerance))

@@ -89,6 +89,7 @@ def slow_fast_motions(
     if last_slowing is not None:
         slowdown_count, slow_joint = last_slowing.count, last_slowing.joint.copy()
     share_of_limit = _SPEED_SHARE * _NEXT_SHARE**slowdown_count
+    # share (M,): largest joint speed on each motion over the limit of that joint
     share, joint = _largest_speeds(path, q, position, is_slowable, share_of_limit)
     is_fast, is_on_fast_line = share > 1.0, is_slowable & np.isin(m.line, list(fast_lines))
     # where no motion on the fast lines may be slowed, another round would not help
@@ -162,9 +163,9 @@ def _is_positioning(path: PathUnderLoad) -> Bools:
     if program.keeps_text:
         return np.zeros(len(m), dtype=np.bool_)
     is_positioning = m.rapid.copy()
-    is_positioning[program.unforced] = True
+    is_positioning[program.unforced] = True  # feed moves from [start]
     has_force = np.zeros(len(m), dtype=np.bool_)
-    is_force_run = any_column(path.wrench.values != 0.0)
+    is_force_run = any_column(path.wrench.values != 0.0)  # runs of samples with one wrench
     has_force[path.sample.motion[is_force_run[path.wrench.run]]] = True
     is_positioning |= ~has_force & (m.feed >= path.robot_in_cell.cell.gcode.rapid_m_per_s)
     return np.asarray(is_positioning & (m.kind == LIN))
@@ -189,16 +190,17 @@ def commanded_speed(path: PathUnderLoad, q: Array, position: Array) -> Array:
             position[rows_with_previous],
         )
         speed[part] = chunk_speed[part.start - rows_with_previous.start :]
-    travel = segments.length[0] * path.sample.t[0]
-    if travel > _SHORTEST_TRAVEL and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
-        speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / travel
+    first_travel = segments.length[0] * path.sample.t[0]
+    if first_travel > _SHORTEST_TRAVEL and m.feed[0] > 0.0:  # a PTP has no feed (NaN)
+        speed[:1] = np.abs(q[:1] - path.robot_in_cell.cell.start_joints) * m.feed[0] / first_travel
     return speed
 
 
 _ARC_SPACING = 5.0 * RAD_PER_DEG
 """Spacing of the places on an arc: between two of them a sine leaves its chord by 0.1 % of its size."""
-_SHARE_OF_SPEED = 0.75
-"""Share of a joint's largest speed at samples: between two that are 60° apart a sine is up to 1 / cos 30° steeper."""
+_FAST_SHARE = 0.75
+"""A joint is fast from this share of its largest speed on: between two samples of an arc, which may be 60° apart, its
+speed, taken for a sine, may be up to 1 / cos 30° higher than at them; with a margin."""
 _LARGE_STEP = 10.0 * RAD_PER_DEG
 """Largest rotation of a joint between samples, unless a wrist or shoulder singularity is near (assumed)."""
 _NEAR_WRIST = 1.0 * RAD_PER_DEG
@@ -242,12 +244,15 @@ _WRIST, _SHOULDER, _ELBOW = 6, 7, 8
 
 
 def stretches_to_examine(path: PathUnderLoad, q: Array, speed: Array) -> tuple[Stretches, Stretches]:
-    """Return arcs, and pieces of lines between two samples, on which a joint may reach a limit or a singularity.
+    """Return arcs, and pieces of lines between two samples, that need a closer look between their samples.
+
+    On these a joint is fast, and may exceed its speed between samples; or it is so near to a limit of its angle, or the
+    arm to a singularity, that it may reach that between samples.
 
     :param q: (N, 6) commanded joint angles [rad].
     :param speed: (N, 6) joint speeds on the way to each [rad/s].
     """
-    limit = _SHARE_OF_SPEED * path.robot_in_cell.robot.speed
+    limit = _FAST_SHARE * path.robot_in_cell.robot.speed
     is_fast = np.asarray((speed > limit).any(axis=1))
     return _arc_stretches(path, q, is_fast), _line_stretches(path, q, is_fast)
 
@@ -286,9 +291,10 @@ def _limited_quantities(robot: RobotModel, q: Array) -> Array:
 
     :param q: (n, 6) joint angles [rad].
     """
-    form, quantities = kinematics.closed_form(robot), np.empty((9, len(q)))
+    geometry, quantities = kinematics.closed_form(robot), np.empty((9, len(q)))
     quantities[:6], quantities[_WRIST] = q.T, q[:, 4]
-    quantities[_SHOULDER], quantities[_ELBOW] = form.wrist_distance_ahead_of_a1(q), form.elbow_angle_from_stretched(q)
+    quantities[_SHOULDER] = geometry.wrist_distance_ahead_of_a1(q)  # signed: negative behind the axis of A1 [m]
+    quantities[_ELBOW] = geometry.elbow_angle_from_stretched(q)  # [rad]
     return quantities
 
 
@@ -300,7 +306,14 @@ def _margins(robot: RobotModel, quantities: Array) -> Array:
 
 
 def _arc_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
-    """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples."""
+    """Return the arcs to be examined every 5°: their margins are small compared with the steps between samples.
+
+    A margin is the distance of a joint from a limit or of the arm from a singularity, a step its change from one sample
+    to the next.
+
+    :param q: (N, 6) joint angles at the samples [rad].
+    :param is_fast: (N,) samples that a joint reaches near its largest speed: their arcs are examined in any case.
+    """
     m, motion = path.program.motions, path.sample.motion
     rows = np.flatnonzero(m.kind[motion] == CIRC)
     if len(rows):
@@ -333,7 +346,12 @@ def _margin_changes(step: Array) -> Array:
 
 
 def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
-    """Return the pieces of lines to be examined every 2 mm and half a degree."""
+    """Return the pieces of lines, from one sample to the next, to be examined every 2 mm and half a degree.
+
+    :param q: (N, 6) joint angles at the samples [rad].
+    :param is_fast: (N,) samples that a joint reaches near its largest speed: the pieces to them are examined in any
+        case.
+    """
     sample, segments = path.sample, path.motions.segments
     is_first = np.diff(sample.motion, prepend=-1) != 0
     begin = np.where(is_first, 0.0, np.roll(sample.t, 1))

@@ -27,8 +27,8 @@ _SHORT_TOOL = 0.005
 _NEAR_BASE = 0.01
 """A base that is not zero and nearer to the robot root [m] is inside the foot of the arm."""
 _LEAST_REMAINDER = 5e-5
-"""The same [m] of what is left of it where a frame of the controller contains the rest: by other touched points than
-those of the fit, a base is off by twice as much."""
+"""Displacement of the unloaded tip [m] that is asked about where the frames of the controller contain most of it, and
+only the remainder counts: by other touched points than those of the fit, a base is off by twice as much."""
 _LEAST_SHIFT = 1e-4
 """Displacement of the unloaded tip [m] that is asked about, assumed: touching with a robot is no more exact."""
 _OVERLOAD = 2.0
@@ -132,11 +132,11 @@ def near_base_question(base: Array, table: str) -> str:
 def force_questions(program: Program, forces: PathForces, cell: Cell, robot: RobotModel) -> Iterator[Issue]:
     """Yield questions on cutting moves with forces: overload, too long a lever, spindle off, a feed in another unit."""
     m = program.motions
-    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))  # of each force
-    cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
+    motion = np.repeat(np.arange(len(m)), np.diff(forces.first))  # of each force: a motion may have several
+    is_cutting = ~np.asarray(m.rapid)[motion]  # a rapid move begins with the force that ends on it
     wrench = forces.wrench
-    size = norm(wrench.values[:, :3])[wrench.run] * cutting
-    moment = norm(wrench.values[:, 3:])[wrench.run] * cutting
+    size = norm(wrench.values[:, :3])[wrench.run] * is_cutting  # of the force [N]
+    moment = norm(wrench.values[:, 3:])[wrench.run] * is_cutting  # [N·m]
     rating = rated_payload(robot.title, robot.name)
     if rating is not None and (too_strong := size > rating * GRAVITY).any():
         name = robot.title or robot.name
@@ -190,9 +190,9 @@ def _spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Iss
     kinds = [effects[f"M{event.value:g}"] if event.kind == "m_code" else event.kind for event in program.events]
     switches = [event for event, kind in zip(program.events, kinds, strict=True) if kind in _SWITCHING]
     last_switch = np.searchsorted([event.before for event in switches], rows, side="right") - 1
-    # before the first switch, `last_switch` is −1: the entry at the end
-    switches_off = [kind == "spindle_off" for kind in kinds if kind in _SWITCHING]
-    is_off = np.array([*switches_off, True])[last_switch]
+    is_off_after = [kind == "spindle_off" for kind in kinds if kind in _SWITCHING]  # after each switch
+    # before the first switch, `last_switch` is −1, the entry at the end: the spindle is off
+    is_off = np.array([*is_off_after, True])[last_switch]
     if is_off.any():
         index = int(last_switch[np.argmax(is_off)])
         cause = f"line {switches[index].line} switches it off" if index >= 0 else "nothing switches it on before"

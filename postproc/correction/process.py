@@ -226,18 +226,20 @@ class Draft(Struct, frozen=True, eq=False):
     def forces_at_targets(self) -> TargetForces:
         """Return the wrench at each target in the form that the written program needs."""
         selection = self.selection
+        # `arrive`: directions of travel, for forces in axes of the feed
         return forces.target_forces(
             self.path.motions.forces, selection.targets, selection.arrive, self.path.wrench.of_rows(selection.row)
         )
 
     def cut_lengths(self) -> Array:
         """Return the length (K,) of the cutting path for which each target stands [m], see `toolpath.cut_lengths`."""
-        motion, run = self.selection.targets.motion, self.path.wrench.run[self.selection.row]
+        # samples with equal wrenches have the same number of a run
+        motion, wrench_run = self.selection.targets.motion, self.path.wrench.run[self.selection.row]
         # within a motion there are targets where the force changes; from one to the next it goes on if it stays equal
-        goes_on = (np.diff(motion, prepend=-1) == 0) | (np.diff(run, prepend=-1) == 0)
+        force_goes_on = (np.diff(motion, prepend=-1) == 0) | (np.diff(wrench_run, prepend=-1) == 0)
         segments = self.path.motions.segments
         return toolpath.cut_lengths(
-            self.path.program.motions, segments.length, motion, self.selection.targets.t, goes_on
+            self.path.program.motions, segments.length, motion, self.selection.targets.t, force_goes_on
         )
 
     def write(self, task: Task) -> Draft:
@@ -254,8 +256,8 @@ class Draft(Struct, frozen=True, eq=False):
             simulation = simulate(path, selection, self.theta, readback, is_corrected=task.mode != "nominal")
         except UnusableTextError as cause:
             return replace(draft, issues=(*draft.issues, cause.issue))
-        kinds = {issue.kind for issue in draft.issues}
-        new_issues = [issue for issue in simulation.issues if issue.kind not in kinds or issue.kind == "blending"]
+        known_kinds = {issue.kind for issue in draft.issues}
+        new_issues = [issue for issue in simulation.issues if issue.kind not in known_kinds or issue.kind == "blending"]
         draft = replace(draft, simulation=simulation, issues=(*draft.issues, *new_issues))
         if draft.failed or not task.in_file:
             return draft
@@ -265,7 +267,8 @@ class Draft(Struct, frozen=True, eq=False):
     def _text(self, task: Task) -> WrittenProgram:
         """Return the program with the targets of this draft, as its dialect writes it."""
         path, row = self.path, self.selection.row
-        comments = self.forces_at_targets() if path.program.notes and not task.in_file else None
+        has_force_comments = bool(path.program.notes) and not task.in_file  # else a file gives the forces
+        comments = self.forces_at_targets() if has_force_comments else None
         q = self.q[row]
         joints = TargetJoints(q, kinematics.status_of(task.robot, q))
         return task.writer.write(path.program, self.selection.targets, joints, path.robot_in_cell.cell, comments)
@@ -292,6 +295,7 @@ def result_of(task: Task, draft: Draft, corrected_draft: Draft) -> Result:
 
     :param corrected_draft: the draft with corrected commands; of a nominal program the same one.
     """
+    # row (K,): the sample of the path at each target
     path, row, targets, program = draft.path, draft.selection.row, draft.selection.targets, draft.path.program
     uncorrected = _uncorrected_at_targets(task, draft)
     reversals = _reversals(corrected_draft)
@@ -383,7 +387,8 @@ def _uncorrected_at_targets(task: Task, draft: Draft) -> _UncorrectedTargets:
     if task.mode != "predict":
         deviation, deflection, by_tool = uncorrected_deviations(path, row, draft.theta)
         return _UncorrectedTargets(deviation, deflection, by_tool, float(norm(deviation).max(initial=0.0)))
-    deviation, deflection, by_tool = uncorrected_deviations(path, np.arange(len(path)), draft.theta)
+    all_samples = np.arange(len(path))
+    deviation, deflection, by_tool = uncorrected_deviations(path, all_samples, draft.theta)
     largest = float(norm(deviation).max(initial=0.0))
     target_deviation = deviation[row]
     # one array where the load is the only cause of deviation: both have the same values
@@ -454,9 +459,14 @@ def _loads(draft: Draft) -> _TargetLoads:
 def _reversals(draft: Draft) -> Reversals:
     """Return where joints change the direction of their torque on cutting moves; `row` and `before` are targets."""
     path = draft.path
-    points = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
-    cuts = ~path.program.motions.rapid[draft.selection.targets.motion[points.row]]
-    return Reversals(points.row[cuts], points.before[cuts], points.joint[cuts], points.step[cuts])
+    reversals = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
+    is_cut = ~path.program.motions.rapid[draft.selection.targets.motion[reversals.row]]
+    return Reversals(
+        row=reversals.row[is_cut],
+        before=reversals.before[is_cut],
+        joint=reversals.joint[is_cut],
+        step=reversals.step[is_cut],
+    )
 
 
 class _Expectation(NamedTuple):
@@ -559,9 +569,10 @@ class _PartErrors:
         cut_length = self.cut_length[targets]
         self.gain.add(sources, uncorrected, corrected, self.path_distance[targets], cut_length)
         expectation = elastostatics.expected_errors(sources, uncorrected, corrected)
+        is_cut = cut_length > 0.0
         for k, error in enumerate((expectation.with_known_robot, expectation.with_known_forces)):
-            total = error + self.extra_rounding[targets] + self.path_excess[targets]
-            largest_error = np.max(total, initial=0.0, where=cut_length > 0.0)
+            total_error = error + self.extra_rounding[targets] + self.path_excess[targets]
+            largest_error = np.max(total_error, initial=0.0, where=is_cut)
             self.largest_errors[k] = max(self.largest_errors[k], largest_error)
         self.bound[targets] = expectation.bound
         self.uncorrected_error[targets], self.corrected_error[targets] = expectation.before, expectation.after
@@ -594,6 +605,7 @@ def _remaining_errors(task: Task, draft: Draft) -> tuple[Array, Array]:
 def _joints_near_reversal(reversals: Reversals, count: int) -> Bools:
     """Return which joints may be on either flank of their gear at each target, (count, 6): next to a reversal."""
     reverses = np.zeros((count, 6), dtype=bool)
+    # the reversal is somewhere between the targets `before` and `row`
     reverses[reversals.row, reversals.joint] = reverses[reversals.before, reversals.joint] = True
     return reverses
 
@@ -618,7 +630,7 @@ def _load_uncertainty(path: PathUnderLoad, row: Ints) -> tuple[Array | None, Arr
 def _readback_forces(draft: Draft, readback: ReadBackProgram) -> tuple[Knots | None, tuple[Issue, ...]]:
     """Return the forces that a file gives to the written program; None with a warning if a file cannot give them.
 
-    A file gives one force to a line, but passes of a line may have different ones.
+    A file gives one force to a line, but passes of a line (rounds of a loop) may have different ones.
     """
     path_forces, targets = draft.path.motions.forces, draft.selection.targets
     travel, _ = forces.last_travel(readback.program, readback.segments, path_forces.axes.spindle)
@@ -823,7 +835,10 @@ class _SlowedDrafts:
 
 
 def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
-    """Return the division of the arcs; where it is uncertain, from the path error of larger pieces."""
+    """Return the first division of the arcs into pieces, each of which is written as one circle.
+
+    Where the number of pieces is uncertain, it follows from the path error of larger ones.
+    """
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
     if pieces.uncertain.any():
         path = PathUnderLoad.of(motions, pieces)
@@ -839,9 +854,9 @@ def _refine(task: Task, path: PathUnderLoad, exceedances: Exceedances, extra_pla
     motion, t, distance = exceedances
     is_on_arc = (path.program.motions.kind[motion] == CIRC) & (not task.linearize_arcs)
     # the path error falls with the square of the length of a piece
-    parts = np.sqrt(distance[is_on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
-    parts = np.clip(np.ceil(parts), 2, _MOST_PARTS).astype(np.int64)
-    pieces = path.arcs.refined_at(motion[is_on_arc], t[is_on_arc], parts)
+    part_count = np.sqrt(distance[is_on_arc] / (SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance))
+    part_count = np.clip(np.ceil(part_count), 2, _MOST_PARTS).astype(np.int64)
+    pieces = path.arcs.refined_at(motion[is_on_arc], t[is_on_arc], part_count)
     is_straight = ~is_on_arc
     places = np.append(extra_places[0], motion[is_straight]), np.append(extra_places[1], t[is_straight])
     return _Division(pieces, places)

@@ -39,13 +39,13 @@ def previous_samples(program: Program, motion: Ints) -> Ints:
     :param motion: (N,) row of `Motions` of each sample, never decreasing; each motion has one.
     """
     previous = np.arange(len(motion)) - 1
-    if program.after is None:
+    if program.after is None:  # each motion begins where the one before ends
         return previous
-    # `after` names the motion before each one; −1 is the start of the program, the motion itself that it is not known
-    motions = np.arange(len(program.motions))
+    predecessors, motions = program.predecessors, np.arange(len(program.motions))
     first_samples = np.searchsorted(motion, motions)
-    start_samples = np.where(program.after < 0, -1, _end_samples(program, motion)[program.after])
-    previous[first_samples] = np.where(program.after == motions, first_samples, start_samples)
+    begins_at_start, has_unknown_start = predecessors < 0, predecessors == motions
+    start_samples = np.where(begins_at_start, -1, _end_samples(program, motion)[predecessors])
+    previous[first_samples] = np.where(has_unknown_start, first_samples, start_samples)
     return previous
 
 
@@ -88,7 +88,7 @@ def _is_same_state(program: Program, motion: Ints, q: Array, first: int, second:
 
     :param motion: (N,) row of `Motions` of each sample.
     :param q: (N, 6) joint angles of the samples [rad].
-    :param first: the one sample, `second` the other; −1: the start of the program.
+    :param first: a sample, `second` another one; −1: the start of the program.
     """
     if first < 0 or second < 0:
         return first == second

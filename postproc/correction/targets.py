@@ -91,14 +91,15 @@ class ChosenSamples(NamedTuple):
 def choose_samples(
     path: CommandedPath, kind: Ints, is_whole: Bools, is_dense: Bools, least_arc: tuple[float, float]
 ) -> ChosenSamples:
-    """Choose which samples become targets: the ends of all motions, and those that the tolerance requires.
+    """Choose which samples become targets: the ends of all motions, and those that `CommandedPath.limit` requires.
 
     :param kind: (M,) kind of each motion to be written; arcs to be written as lines are given as `LIN`.
     :param is_whole: (M,) True for motions that are written as one target because their text is kept.
     :param is_dense: (M,) True for motions of which every sample becomes a target.
-    :param least_arc: smallest arc of the controller, see `dialects.dialect.Writer`; smaller ones become lines.
+    :param least_arc: smallest arc that the controller accepts: distance of its points [m], angle at its start between
+        the other two [rad]; smaller ones become lines.
     """
-    sample, arcs = path.sample, path.arcs
+    sample, arcs = path.sample, path.arcs  # sample.motion (N,) is the motion of each sample, arcs.motion of each arc
     is_target = sample.is_end | is_dense[sample.motion]
     kinds, via = kind[sample.motion], np.full(len(sample), -1)  # of the target at each sample; −1: no auxiliary point
     count = np.bincount(sample.motion, minlength=len(kind))
@@ -107,15 +108,20 @@ def choose_samples(
         is_target[_divide_lines(path, divisible_lines)] = True
     circle_stretches = np.flatnonzero(((kind == CIRC) & ~is_whole)[arcs.motion])
     if len(circle_stretches):
+        # an arc is written as circles through start, middle and end of its pieces
         start, middle, end = _piece_samples(path, circle_stretches)
-        is_arc = ~_is_flat(start, path.position[middle], path.position[end], *least_arc)
+        least_distance, least_angle = least_arc
+        is_arc = ~_becomes_line(start, path.position[middle], path.position[end], least_distance, least_angle)
         is_target[end], kinds[end], via[end] = True, np.where(is_arc, CIRC, LIN), np.where(is_arc, middle, -1)
     row = np.flatnonzero(is_target)
     return ChosenSamples(row, kinds[row], via[row])
 
 
 def arc_pieces(path: CommandedPath) -> Pieces:
-    """Return the arcs in the pieces that the tolerance needs, by the error of circles through pieces twice as large."""
+    """Return the arcs in the pieces that the tolerance needs, by the error of circles through pieces twice as large.
+
+    A piece is the part of an arc that is written as one circle.
+    """
     arcs, command = path.arcs, path.position
     stretch = np.flatnonzero(arcs.uncertain)
     begin, middle_row, end_row = _piece_samples(path, stretch)
@@ -137,7 +143,7 @@ def arc_pieces(path: CommandedPath) -> Pieces:
 
 
 class _PieceSamples(NamedTuple):
-    """Pieces of arcs.
+    """Pieces of arcs, each of which is written as a circle through its start, middle and end.
 
     :param start: (n, 3) point where each begins, `$BASE` [m].
     :param middle: (n,) sample in its middle.
@@ -150,11 +156,11 @@ class _PieceSamples(NamedTuple):
 
 
 def _piece_samples(path: CommandedPath, stretch: Ints) -> _PieceSamples:
-    """Return the pieces of stretches of arcs.
+    """Return the pieces of stretches of arcs: parts of arcs that are divided evenly.
 
     A piece has an even number of consecutive samples; it starts at the last sample of the piece before.
 
-    :param stretch: rows of `path.arcs`.
+    :param stretch: (s,) rows of `path.arcs`.
     """
     arcs, sample = path.arcs, path.sample
     # the samples on arcs are those of the stretches in order: the running sum of sizes is where each stretch begins
@@ -197,9 +203,10 @@ def _divide_lines(path: CommandedPath, motions: Ints) -> Ints:
 
 
 def _farthest_points(t: Array, position: Array, left: Ints, right: Ints) -> tuple[Array, Ints]:
-    """Return the largest distance (n,) of inner points of pieces from where a straight piece is at their t, and whose.
+    """Return the largest distance of the inner points of each piece from the straight line, and the row of that point.
 
-    A piece without inner points has the distance 0 and the row −1.
+    Distances (n,) are from the place of the line at the same t; rows (n,). A piece without inner points has the
+    distance 0 and the row −1.
 
     :param t: (P,) place of each point on its motion, and `position` (P, 3) its position [m].
     :param left: (n,) row of the first point of each piece, and `right` (n,) of its last one.
@@ -211,27 +218,31 @@ def _farthest_points(t: Array, position: Array, left: Ints, right: Ints) -> tupl
     start, end = position[left], position[right]
     distance = norm(position[inner] - start[piece] - share[:, None] * (end - start)[piece])
     # sorted by piece, then by distance: the last point of each piece is the farthest
-    order = np.lexsort((distance, piece))
-    last_of_piece = order[np.cumsum(count[count > 0]) - 1]
+    by_distance = np.lexsort((distance, piece))
+    last_of_piece = by_distance[np.cumsum(count[count > 0]) - 1]
     largest_distance, farthest_point = np.zeros(len(left)), np.full(len(left), -1)
     largest_distance[piece[last_of_piece]] = distance[last_of_piece]
     farthest_point[piece[last_of_piece]] = inner[last_of_piece]
     return largest_distance, farthest_point
 
 
-def _is_flat(a: Array, b: Array, c: Array, distance: float, angle: float) -> Bools:
-    """Return which arcs (n,) from a through b to c, (n, 3) each [m], are lines: flat, or less than a controller takes.
+def _becomes_line(a: Array, b: Array, c: Array, least_distance: float, least_angle: float) -> Bools:
+    """Return which arcs (n,) from a through b to c, (n, 3) each [m], are written as lines.
 
-    :param distance: smallest distance of the points [m], and `angle` [rad] at a between b and c, that it takes.
+    These are flat, or smaller than a controller takes.
+
+    :param least_distance: smallest distance of b and c from a [m] that the controller takes, and `least_angle` smallest
+        angle at a between b and c [rad].
     """
     chord, first = c - a, b - a
     length, height = norm(chord), norm(np.cross(chord, first))
     # |chord × first| is the length of the chord times the sagitta
     is_flat = height < _FLAT * length
-    is_short = np.minimum(length, norm(first)) < distance
+    is_short = np.minimum(length, norm(first)) < least_distance
     # the tangent of the angle at a is |chord × first| / (chord · first)
-    is_narrow = height < np.tan(angle) * (chord * first).sum(axis=1)
-    return np.asarray((length > 0.0) & (is_flat | is_short | is_narrow))
+    is_narrow = height < np.tan(least_angle) * (chord * first).sum(axis=1)
+    is_full_circle = length == 0.0  # it has no chord, and stays an arc
+    return np.asarray(~is_full_circle & (is_flat | is_short | is_narrow))
 
 
 _ROUNDING_SHARE = 0.2
@@ -281,20 +292,21 @@ def _is_continuous(program: Program, motion: Ints, kind: Ints) -> Bools:
     next_motion = np.append(motion[1:], -1)  # −1: no target follows the last one
     is_same_frame = (m.base[next_motion] == m.base[motion]) & (m.tool[next_motion] == m.tool[motion])
     follows_at_once = (next_motion >= 0) & (next_motion - motion <= 1)
-    if program.after is not None:  # not at the start of branches, or where the position of the robot is unknown
-        follows_at_once &= (next_motion == motion) | (program.after[next_motion] == motion)
+    # not at the start of branches, or where the position of the robot is unknown
+    follows_at_once &= (next_motion == motion) | (program.predecessors[next_motion] == motion)
     is_path_motion = (kind != PTP) & (kind != SPL)
     return np.asarray(follows_at_once & is_same_frame & is_path_motion & np.append(is_path_motion[1:], False))
 
 
 def corners_of_targets(program: Program, targets: Targets, start: Array) -> tuple[Corners, Array]:
-    """Return the K corners of a path to be written, and its unit direction (K, 3) before each, `$BASE`.
+    """Return the K corners of a path to be written, and the unit direction (K, 3) in which it arrives at each, `$BASE`.
 
     :param start: (M, 3) commanded position at the start of each motion, `$BASE` [m].
     """
     bend, length, arrive = np.empty(len(targets)), np.empty(len(targets)), np.empty((len(targets), 3))
     for part in chunks(len(targets)):
         row = np.arange(max(part.start - 1, 0), min(part.stop, len(targets)))  # from the last one of the part before
+        # a piece is the path from one target to the next; the bend is that from its arrival to the next departure
         leave, arrive[row], length[row] = _piece_geometry(targets, start, row)
         bend[row[1:]] = norm(leave[1:] - arrive[row[:-1]])
     return _corners(bend[1:], length, _is_continuous(program, targets.motion, targets.kind)), arrive
@@ -350,16 +362,19 @@ def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corner
 
 
 def programmed_rounding(program: Program, path: Segments, motion: Ints) -> Array:
-    """Return the program's own approximation distances (K,) [m] at targets; 0 at inserted ones and in G-code.
+    """Return how far the program as read rounds its path at targets (K,) [m], by its own approximation distances.
+
+    0 at inserted targets and in G-code.
 
     :param motion: (K,) motion of each target, never decreasing.
     """
     if not program.keeps_text:
         return constant(0.0, len(motion))
     rounding = np.zeros(len(motion))
-    last = np.append(np.diff(motion) != 0, True)[: len(motion)]
-    ended_motion = motion[last]
-    rounding[last] = corners_of_motions(program, path, ended_motion).rounding(program.motions.blend[ended_motion])
+    is_last_target = np.append(np.diff(motion) != 0, True)[: len(motion)]  # [: len(motion)]: there may be no target
+    ended_motion = motion[is_last_target]
+    corners = corners_of_motions(program, path, ended_motion)
+    rounding[is_last_target] = corners.rounding(program.motions.blend[ended_motion])
     return rounding
 
 
@@ -371,7 +386,7 @@ def approximation_distances(program: Program, targets: Targets, corners: Corners
     is a corner, because the force changes, its distance is made smaller in a program from G-code; in KRL, where
     `$APO.CDIS` is the program's own, the robot stops there if it also stops at the end of that motion.
 
-    :param cell: the approximation distance of inserted targets, and the tolerance.
+    :param cell: states the approximation distance of inserted targets, and the tolerance.
     """
     m, motion = program.motions, targets.motion
     programmed_distance = m.blend[motion]
@@ -389,14 +404,15 @@ def _inner_distances(program: Program, programmed_distance: Array, corners: Corn
 
     :param programmed_distance: (K,) distance that the program gives to the end of the motion of each target [m].
     """
-    # the distance at which `Corners.rounding` is its share of the tolerance; a straight corner has a very large one
-    limit = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharpness, 1e-9)
+    # `Corners.rounding` is distance · sharpness / 4: the distance at which it is its share of the tolerance; a straight
+    # corner (sharpness 0) has a very large one
+    largest_distance = 4.0 * _ROUNDING_SHARE * cell.tolerance / np.maximum(corners.sharpness, 1e-9)
     if program.keeps_text:
-        is_blended = (programmed_distance > 0.0) | (corners.reach <= limit)
+        is_blended = (programmed_distance > 0.0) | (corners.reach <= largest_distance)
         return np.where(is_blended, np.inf, 0.0)
     distance = np.maximum(programmed_distance, cell.gcode.approximation_mm * M_PER_MM)
-    is_limited = limit < np.minimum(distance, corners.reach)  # blending begins no earlier than `reach`
-    distance[is_limited] = _round_down(limit[is_limited])
+    is_limited = largest_distance < np.minimum(distance, corners.reach)  # blending begins no earlier than `reach`
+    distance[is_limited] = _round_down(largest_distance[is_limited])
     return distance
 
 
@@ -436,7 +452,7 @@ def choose_targets(
     """Choose the targets to write: the fewest samples that hold the tolerance.
 
     :param command: commands of the samples, in `$BASE`.
-    :param least_arc: see `dialects.dialect.Writer`.
+    :param least_arc: smallest arc that the controller accepts, see `dialects.dialect.Writer`.
     :param linearize_arcs: arcs are written as lines.
     """
     program, sample, m = path.program, path.sample, path.program.motions
@@ -454,12 +470,21 @@ def choose_targets(
         via = via.copy()
         via[arcs] = commanded_path.position[via_row[arcs]]
     status, turn = _status_and_turn(program, path.robot_in_cell.robot, motion, command.q[row])
-    keeps_pose, pose = keeps_end[motion] & (sample.t[row] == 1.0), command.pose.take(row)
-    targets = Targets(motion, sample.t[row], target_kind, pose, via, keeps_pose, status, turn, m.blend[motion])
+    targets = Targets(
+        motion=motion,
+        t=sample.t[row],
+        kind=target_kind,
+        pose=command.pose.take(row),
+        via=via,
+        keep=keeps_end[motion] & (sample.t[row] == 1.0),
+        status=status,
+        turn=turn,
+        blend=m.blend[motion],
+    )
     corners, arrive = corners_of_targets(program, targets, commanded_path.start)
     blend = approximation_distances(program, targets, corners, path.robot_in_cell.cell)
     if not (path.motions.forces.frame == FEED).any():
-        arrive = np.zeros((0, 3))
+        arrive = np.zeros((0, 3))  # only forces in axes of the feed need directions of travel
     rounding = programmed_rounding(program, path.motions.segments, motion)
     return TargetSelection(replace(targets, blend=blend), row, arrive, rounding)
 

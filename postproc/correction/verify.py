@@ -75,7 +75,7 @@ def read_back(path: PathUnderLoad, selection: TargetSelection, text: WrittenProg
         raise UnusableTextError(Issue("error", "read-back", message, output_line=cause.line)) from cause
     except ImpossiblePathError as cause:
         raise UnusableTextError(cause.issue) from cause
-    row = np.flatnonzero(np.isnan(output_program.motions.joints[:, 0]))
+    row = np.flatnonzero(np.isnan(output_program.motions.joints[:, 0]))  # motions without an axis target
     numbers = output_program.numbers_as_written()[row]
     output_program = replace(output_program, documents=(), layout=None)
     mismatch = _mismatch(path.program, targets, output_program, row)
@@ -94,18 +94,19 @@ def read_back(path: PathUnderLoad, selection: TargetSelection, text: WrittenProg
 
 
 def _first_differing_module(
-    path: PathUnderLoad, whole: Program, row: Ints, modules: Modules, dialect: str
+    path: PathUnderLoad, undivided_program: Program, row: Ints, modules: Modules, dialect: str
 ) -> str | None:
     """Return the name of the first module that differs from the program in one piece; None if all are equal.
 
-    Motions, `$BASE` and `$TOOL` must be equal to the last digit. Each module must begin at an exact stop, where the one
-    before ends.
+    Modules are programs that are run one after another in place of one that is too large for the controller. Motions,
+    `$BASE` and `$TOOL` must be equal to the last digit. Each module must begin at an exact stop, where the one before
+    ends.
 
-    :param whole: the program in one piece, as read.
+    :param undivided_program: the program in one piece, as read.
     :param row: (K,) its motions that end at targets.
     :param modules: the modules that were written for it.
     """
-    robot_in_cell, m = path.robot_in_cell, whole.motions
+    robot_in_cell, m = path.robot_in_cell, undivided_program.motions
     # the first motion of each further module moves to the last target of the module before
     begins = [0, *(int(row[first_target - 1]) for first_target in modules.first[1:])]
     fields = [name for name in m.__struct_fields__ if name not in ("line", "base", "tool")]
@@ -120,8 +121,8 @@ def _first_differing_module(
         # of the first motion, which comes from [start], only the target is compared, with a tolerance
         pairs = [(getattr(module_motions, name)[1:], getattr(m, name)[rows[1:]]) for name in fields]
         pairs += [
-            (module.bases[module_motions.base], whole.bases[m.base[rows]]),
-            (module.tools[module_motions.tool], whole.tools[m.tool[rows]]),
+            (module.bases[module_motions.base], undivided_program.bases[m.base[rows]]),
+            (module.tools[module_motions.tool], undivided_program.tools[m.tool[rows]]),
         ]
         is_equal = all(np.array_equal(module_column, column, equal_nan=True) for module_column, column in pairs)
         begins_at_end = np.abs(module_motions.target[:1] - m.target[rows[:1]]).max() <= _MODULE_GAP
@@ -280,16 +281,25 @@ def simulate(
     probes = _probes(path, selection, readback)
     deviation, distance, near_limit = _deviation(path, selection, theta, readback, probes)
     too_fast = tuple(_joint_speed_issues(path, selection, readback)) if near_limit else ()
-    step, jump, is_judged = _conditions_of_probes(path, targets, probes)
+    is_behind_step, is_inside_jump, is_judged = _conditions_of_probes(path, targets, probes)
     issues: list[Issue] = []
     if is_corrected:
-        issues += _tolerance_issues(path, probes, distance, step=step, jump=is_judged & jump, smooth=is_judged & ~jump)
+        issues += _tolerance_issues(
+            path,
+            probes,
+            distance,
+            step=is_behind_step,
+            jump=is_judged & is_inside_jump,
+            smooth=is_judged & ~is_inside_jump,
+        )
         if path.program.keeps_text:
             issues += checks.blending_issues(
                 path.program, targets.motion, rounding - selection.programmed_rounding, tolerance
             )
     issues += too_fast
-    is_beyond_tolerance = is_judged & probes.is_inside & ~(distance <= _SAFE_SHARE * tolerance) & ~jump
+    # where further targets may help: not at targets, nor inside a jump, whose piece is too short to be divided
+    is_divisible = is_judged & probes.is_inside & ~is_inside_jump
+    is_beyond_tolerance = is_divisible & ~(distance <= _SAFE_SHARE * tolerance)
     path_distance = np.zeros(len(targets))
     np.maximum.at(path_distance, probes.target[is_judged], distance[is_judged])
     return SimulatedPath(
@@ -306,28 +316,31 @@ def simulate(
 class _Conditions(NamedTuple):
     """By what the tolerance is exceeded at n probes, if it is, and whether it must hold there.
 
-    :param step: (n,) True just behind the start of a motion whose force is another one than at the end before.
-    :param jump: (n,) True inside a piece that is too short to be divided: the force jumps there.
+    :param is_behind_step: (n,) True just behind the start of a motion that begins with another force than the one
+        before ends with.
+    :param is_inside_jump: (n,) True inside a piece that is too short to be divided: the force jumps there.
     :param is_judged: (n,) True where the tolerance must hold.
     """
 
-    step: Bools
-    jump: Bools
+    is_behind_step: Bools
+    is_inside_jump: Bools
     is_judged: Bools
 
 
 def _conditions_of_probes(path: PathUnderLoad, targets: Targets, probes: _Probes) -> _Conditions:
     """Return which probes are behind a step or inside a jump of the force, and which must hold the tolerance.
 
-    The others are inside a piece that begins where no correction was possible, or behind a step.
+    A probe is a place at which the path error is computed; a piece is the path from one target to the next. The others,
+    which need not hold it, are inside a piece that begins where no correction was possible, or behind a step.
     """
     m, motion, is_inner = path.program.motions, probes.motion, probes.is_inside
     begin, end = targets.begin(probes.target), targets.t[probes.target]
-    step = path.motions.forces.is_behind_step(motion, end) & is_inner
-    jump = (path.motions.segments.length[motion] * (end - begin) < _JUMP_LENGTH) & is_inner
+    is_behind_step = path.motions.forces.is_behind_step(motion, end) & is_inner
+    is_inside_jump = (path.motions.segments.length[motion] * (end - begin) < _JUMP_LENGTH) & is_inner
     # [start] and axis targets are not corrected: a motion from there begins as far off as the robot is without a force
     begins_uncorrected = np.append(True, np.isfinite(m.joints[:-1, 0])) & (not path.robot_in_cell.rest_is_nominal)
-    return _Conditions(step, jump, ~(begins_uncorrected[motion] & is_inner) & ~step)
+    is_judged = ~(begins_uncorrected[motion] & is_inner) & ~is_behind_step
+    return _Conditions(is_behind_step, is_inside_jump, is_judged)
 
 
 class _Deviation(NamedTuple):
@@ -440,7 +453,7 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
         """Return the correction (n, 3) of targets (n,), `$BASE` [m]."""
         return targets.pose.position[target] - path.sample.pose.position[selection.row[target]]
 
-    rows = np.arange(len(targets))
+    rows = np.arange(len(targets))  # of the piece to each target
     arc_rows = np.flatnonzero((path.program.motions.kind[targets.motion] == CIRC) | (m.kind[readback.row] == CIRC))
     is_curved, is_uneven = np.zeros((2, len(targets)), dtype=np.bool_)
     # the force changes at samples that are no targets: the path may be off there by part of the tolerance
@@ -450,14 +463,14 @@ def _probes(path: PathUnderLoad, selection: TargetSelection, readback: ReadBackP
     is_uneven[arc_rows] = _unevenness(path, selection, readback, arc_rows, correction(arc_rows)) > limit
 
     correction_step = norm(correction(rows) - correction(np.maximum(rows - 1, 0)))
-    number = number_of_places(
+    probe_count = number_of_places(
         m.kind[readback.row],
         readback.segments.travel[readback.row],
         readback.segments.turn[readback.row],
         is_curved=is_curved | skips_samples,
         is_steep=(correction_step > _STEEP_CHANGE) | is_uneven,
     )
-    target, share = toolpath.even_places(rows.astype(np.int32), number.astype(np.int32))
+    target, share = toolpath.even_places(rows.astype(np.int32), probe_count.astype(np.int32))
     begin, end = targets.begin(target), targets.t[target]
     t = np.where(share == 1.0, end, begin + share * (end - begin))
     return _Probes(target, share, targets.motion[target], t)

@@ -506,7 +506,7 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
     :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: it is in the `$BASE` of the program.
     :raises InputError: the mesh or the process is unusable, or its frame is not stated and there are several `$BASE`.
     """
-    corners, coarse = files.read_facets(part)
+    corners, facet_error = files.read_facets(part)
     if mesh_frame is None and len(result.program.bases) > 1:
         raise InputError(
             "the program has several $BASE: to which the part belongs is not known",
@@ -529,7 +529,7 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
             radius = 0.5 * tool.diameter_mm * M_PER_MM
             corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
             cutters[entry] = Cutter(radius, corner, tool.flutes)
-    return surface(result, corners, cutters, mesh_frame, coarse, tool=tool_of_target)
+    return surface(result, corners, cutters, mesh_frame, facet_error, tool=tool_of_target)
 
 
 class _MarkedResult(NamedTuple):

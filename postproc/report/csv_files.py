@@ -122,6 +122,9 @@ def _file_forces(result: Result) -> Knots | None:
 def _force_rows(knots: Knots, output_line: Ints) -> bytes:
     """Return forces.csv with header and rows; columns as `FORCE_COLUMNS` says.
 
+    A knot is a force at a place t of the piece to a target, 0 at its begin and 1 at the target. A ramped knot is the
+    only one of its piece, and has no t: the force changes to it from that of the piece before.
+
     :param knots: forces; `knots.motion` is a row of the targets, as of `forces.piece_knots`.
     :param output_line: (K,) line of each target in the written file.
     """
@@ -137,7 +140,8 @@ def _force_rows(knots: Knots, output_line: Ints) -> bytes:
     columns += [Number.of(values[first, index], decimals) for index, decimals in enumerate(_WRENCH_DECIMALS)]
     columns.append(names[knots.frame[first]])
     header = list(FORCE_COLUMNS)
-    if not knots.ramped.all():
+    changes_along_line = not knots.ramped.all()
+    if changes_along_line:
         header.append("t")
         columns.append(Number.of(np.where(knots.ramped[first], np.nan, knots.t[first]), _T_DECIMALS))
     for index, name in enumerate(_SIGMA_COLUMNS):

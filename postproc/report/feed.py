@@ -58,21 +58,21 @@ def feed_summary(result: Result) -> FeedSummary | None:
     feeds, m = result.held_feed, result.program.motions
     if feeds is None:
         return None
-    cuts = ~m.rapid & (feeds.feed > 0.0)
+    is_cut = ~m.rapid & (feeds.feed > 0.0)
     programmed_time, written_time = (
         # 1.0: no division by the feed of moves that do not cut
-        np.where(cuts, feeds.length / np.where(cuts, feed, 1.0), 0.0)
+        np.where(is_cut, feeds.length / np.where(is_cut, feed, 1.0), 0.0)
         for feed in (feeds.programmed_feed, feeds.feed)
     )
     return FeedSummary(
         tolerance_mm=stated_mm(feeds.tolerance),
         min_feed_mm_per_min=feeds.least * MM_PER_MIN,
         unheld=feeds.unheld,
-        cutting_moves=int(np.count_nonzero(cuts)),
-        lowered_moves=int(np.count_nonzero(feeds.is_lowered & cuts)),
+        cutting_moves=int(np.count_nonzero(is_cut)),
+        lowered_moves=int(np.count_nonzero(feeds.is_lowered & is_cut)),
         time_before_s=float(programmed_time.sum()),
         time_after_s=float(written_time.sum()),
-        operations=_operation_feeds(result, feeds, cuts, programmed_time, written_time),
+        operations=_operation_feeds(result, feeds, is_cut, programmed_time, written_time),
         missed_moves=int(np.count_nonzero(feeds.is_exceeded)),
         missed=_missed_moves(result, feeds),
     )

@@ -167,10 +167,11 @@ def _advice_sentence(search: Search) -> str:
     today, best = search.today, search.best
     if best is None:
         return _no_place_sentence(search)
-    move = _move_text(today, best)
+    move = _move_text(today, best)  # empty: the same place
+    # without a stated uncertainty (u95 is NaN) the cost of a place is its deflection, else its expected error [m]
     kind = "deflection" if np.isnan(best.u95) else "expected error (95 %)"
     error = f"up to {_cost_text(best)} mm"
-    is_unloaded = best.cost == 0.0
+    is_unloaded = best.cost == 0.0  # no cutting move carries a force
     if not today.reachable:
         advice = f"move the part by {move}" if move else "the same place with another turn of the tool can be driven"
         if is_unloaded:
@@ -178,7 +179,8 @@ def _advice_sentence(search: Search) -> str:
         return f"Today's place cannot be driven ({today.problem}): {advice}; the {kind} is then {error}."
     if is_unloaded:
         return f"Today's place can be driven. {_NO_FORCE_NOTE}"
-    if best.stated_cost >= (1.0 - _LEAST_GAIN) * today.stated_cost or not move:
+    has_gain = best.stated_cost < (1.0 - _LEAST_GAIN) * today.stated_cost
+    if not has_gain or not move:
         return f"Today's place is as good as any in the region: the {kind} is up to {_cost_text(today)} mm."
     return f"Moving the part by {move} lowers the {kind} from up to {_cost_text(today)} to {error}."
 
@@ -367,8 +369,9 @@ def _map_sections(search: Search) -> Iterator[Section]:
 
     A map is left out unless the search tried a whole grid in its axes.
     """
+    # the plane of both maps goes through this place
     slice_x, slice_y, slice_z, slice_a, slice_e1 = search.slice_place
-    x, y = search.slice
+    x, y = search.slice  # coordinates of the grid of the map in X and Y [mm]; empty without a grid
     if len(x):
         title = f"Map at Z {slice_z:.0f}, A {slice_a:.1f}°"
         yield Section("map", title, (_map_plot(search, _slice_rows(search), (0, 1), x, y, title),))

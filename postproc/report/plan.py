@@ -72,9 +72,9 @@ def krl_program(result: PlanResult, cell: CellFile, name: str) -> Document:
     for row, (angles, force) in enumerate(zip(result.plan.q * DEG_PER_RAD, result.force, strict=True)):
         lines += [
             axis_motion(via_angles, _ANGLE_DECIMALS) + " ;on the way, the straight one is blocked"
-            for via_angles in result.via[row] * DEG_PER_RAD
+            for via_angles in result.via[row] * DEG_PER_RAD  # (k, 6) joint angles; k = 0 if the straight way is free
         ]
-        if row in result.blocked:
+        if row in result.blocked:  # no way without collision was found to this pose
             lines += [";THE WAY TO THE NEXT POSE IS BLOCKED: stop here, jog the robot there", "HALT"]
         lines += [
             f";configuration {row + 1}: load {_force_text(force)} N, root axes, at the load point",
@@ -133,7 +133,7 @@ def _uncompensated_rms_mm(result: PlanResult) -> float:
 
 def _accuracy_content(result: PlanResult) -> dict[str, object]:
     """Return the criterion, the expected errors with and without compensation [mm], and intervals of the parameters."""
-    accuracy = result.accuracy
+    accuracy = result.accuracy  # expected once the plan is measured: errors [m], intervals as shares of the values
     return {
         "criterion": {
             "kind": "grouped" if result.options.grouped else "pooled",
@@ -416,8 +416,8 @@ def comparison_section(result: PlanResult) -> Section | None:
     criterion = _criterion_root_mm(result.plan.value)
     serial = None if result.serial is None else _criterion_root_mm(result.serial.value)
     # some random plans are hopeless: the picture shows 97 % of them; the others are counted in the last bar
-    top = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05  # with a margin of 5 %
-    counts, edges = np.histogram(np.clip(random, 0.0, top), bins=_BINS, range=(0.0, top))
+    largest_shown = max(float(np.quantile(random, 0.97)), serial or 0.0, criterion) * 1.05  # with a margin of 5 %
+    counts, edges = np.histogram(np.clip(random, 0.0, largest_shown), bins=_BINS, range=(0.0, largest_shown))
     median = float(np.median(random))
     marks = [
         Mark(criterion, f"this plan {criterion:.3g}", "after"),
@@ -429,7 +429,7 @@ def comparison_section(result: PlanResult) -> Section | None:
     plot = Plot(
         label="Histogram of the criterion of random plans; this plan is marked",
         traces=[Histogram(edges.tolist(), counts.tolist(), "random plans")],
-        x=Axis(title="criterion (root: RMS distance that remains), mm", range=(0.0, top)),
+        x=Axis(title="criterion (root: RMS distance that remains), mm", range=(0.0, largest_shown)),
         y=Axis(title="number of plans"),
         marks=marks,
         note=f"{best}{intuitive}. Random plans: levels, poses and loads at random among those that can be measured. "

@@ -96,7 +96,7 @@ def summary(program: Program, process: ProcessForces | None, by_operation: int) 
     m, cuts = program.motions, process.cuts
     tools: list[ToolSummary] = []
     for index in distinct(process.tools.tool[cuts.motion]).tolist():
-        rows = process.tools.tool[cuts.motion] == index
+        rows = process.tools.tool[cuts.motion] == index  # stations of the cut at which this tool cuts
         force = np.linalg.norm(cuts.wrench[rows, :3], axis=1)
         worst_motion = int(cuts.motion[rows][int(np.argmax(force))])
         # component 2 of a wrench is along the axis of the tool: the feed force of a drill

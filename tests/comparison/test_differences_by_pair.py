@@ -506,13 +506,13 @@ def test_comments_give_the_forces_of_the_nominal_program_to_the_digits_written(s
         if is_cut and off > 0.05 + share * np.linalg.norm(cuts.wrench[k]):
             bad.append(k)
     expected = ("force", found.pair[bad[0]], len(bad)) if bad else None
-    message = the_only(settings.force_differences(found, side, in_file=False), expected)
+    message = the_only(settings.force_differences(found, side, has_force_file=False), expected)
     if bad:
         words = [" ".join(f"{v:.4g}" for v in w[:3]) for w in (in_base[found.pair[bad[0], 1]], cuts.wrench[bad[0]])]
         assert f"the force {words[0]} N instead of {words[1]} N ($BASE):" in message
-    assert not list(settings.force_differences(replace(found, cuts=None), side, in_file=False))
+    assert not list(settings.force_differences(replace(found, cuts=None), side, has_force_file=False))
     assert not list(
-        settings.force_differences(replace(found, corrected=replace(corrected, notes=())), side, in_file=False)
+        settings.force_differences(replace(found, corrected=replace(corrected, notes=())), side, has_force_file=False)
     )
 
 
@@ -534,7 +534,7 @@ def test_with_a_file_of_forces_the_comments_of_both_programs_are_the_same(mine, 
     cuts = cuts_of(np.random.default_rng(1), found)
     found = replace(found, nominal=sides[0], corrected=sides[1], cuts=cuts)
     message = the_only(
-        settings.force_differences(found, None, in_file=True), None if rows is None else ("force", rows, 1)
+        settings.force_differences(found, None, has_force_file=True), None if rows is None else ("force", rows, 1)
     )
     assert rows is None or message.endswith("than those of the nominal program.")
 
@@ -722,7 +722,7 @@ def test_programs_of_one_conversion_are_compared_by_their_targets_and_forces_alo
             differences, name, lambda *parts, word=word, empty=is_empty, **options: [] if empty else [word]
         )
     found = differences.differences(
-        None, None, None, in_file=True, same_origin=same_origin, pairs_certain=pairs_certain
+        None, None, None, has_force_file=True, same_origin=same_origin, are_pairs_certain=pairs_certain
     )
     uncertain = [] if pairs_certain else ["ambiguous"]
     if same_origin:

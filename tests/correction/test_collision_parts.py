@@ -75,7 +75,7 @@ def test_contacts_with_the_stock_are_those_of_its_size_before_each_motion(reachi
         if rows[i] and stock.size[states.motion[i]] > 0.1 and states.q[i + 1, 0] < stock.size[states.motion[i]]
     }
     assert {contact.motion for contact in found} == expected
-    assert all((contact.names, contact.need) == (("spindle", STOCK), 0.003) for contact in found)
+    assert all((contact.names, contact.least_distance) == (("spindle", STOCK), 0.003) for contact in found)
     assert len(stock.motions) == search.stock_count == len(set(stock.motions))
 
 
@@ -441,8 +441,8 @@ def test_the_cutter_is_compared_with_parts_on_rapid_moves_on_its_nominal_path(mo
         pairs.append(([part.name for part in moving], [part.name for part in fixed]))
         return "solids"
 
-    def contacts(found, states, need):
-        assert (found, need, states.commanded_q) == ("solids", 0.0, None)
+    def contacts(found, states, least_distance):
+        assert (found, least_distance, states.commanded_q) == ("solids", 0.0, None)
         yield tuple(states.q[:, 0].astype(int).tolist())
 
     monkeypatch.setattr(collisions, "_solids", solids)

@@ -278,7 +278,7 @@ def test_what_a_coarse_mesh_stands_off_its_surface_is_not_cut_into(tmp_path):
     height = 0.01 * (1.0 - np.cos(np.pi / 24))
     assert -np.nanmin(exact.programmed) == pytest.approx(height, rel=0.05)
     assert coarse.max() == pytest.approx(2 * height, rel=0.1)  # of the outer side, which is twice as large
-    allowed = surface(result_of(points, [0, 0, -1e-5]), corners, FLAT, coarse=coarse)
+    allowed = surface(result_of(points, [0, 0, -1e-5]), corners, FLAT, facet_error=coarse)
     assert (allowed.programmed_row < 0).all()
 
 

@@ -196,8 +196,8 @@ class Deviation(Struct, frozen=True, dict=True):
         if surface is None or tolerance is None:
             return np.zeros(0, dtype=np.int64)
         deviation = surface.after if self.is_compared else surface.before
-        gouged = np.flatnonzero(deviation < -tolerance)
-        deepest_first = gouged[np.argsort(deviation[gouged], kind="stable")]
+        gouged_facets = np.flatnonzero(deviation < -tolerance)
+        deepest_first = gouged_facets[np.argsort(deviation[gouged_facets], kind="stable")]
         # unique returns where each line occurs first: at its deepest facet
         _, first = np.unique(self.result.source_line[surface.row[deepest_first]], return_index=True)
         return deepest_first[np.sort(first)[:_MOST_GOUGES]]
@@ -214,8 +214,9 @@ class Deviation(Struct, frozen=True, dict=True):
         operation_rows = [operation.first for operation in self.operations]
         rows = [self.worst_rows, np.array([*operation_rows, *issue_rows], dtype=np.int64)]
         if self.surface is not None:
-            programmed_cuts = self.surface.programmed_row[self.surface.programmed_row >= 0]
-            rows += [self.surface.row[self.gouges], programmed_cuts[:1]]
+            # targets that cut into the part as programmed: the first is linked if no other row is
+            cutting_rows = self.surface.programmed_row[self.surface.programmed_row >= 0]
+            rows += [self.surface.row[self.gouges], cutting_rows[:1]]
         if result.reversals is not None:
             rows.append(result.reversals.row[result.largest_reversals])
         return np.concatenate(rows)
@@ -257,13 +258,14 @@ class Deviation(Struct, frozen=True, dict=True):
     def _facet_columns(self, surface: Surface) -> Columns:
         """Return the deviations of each facet [mm], and the place of the page at which a tool cuts it.
 
-        −1 without a cut.
+        A place is the index of a target among those that the page shows; −1 without a cut.
 
         :param surface: the surface of this page, `self.surface`.
         """
-        # the row that leaves the surface as written; if no tool touches the facet, the row that cuts into it as
-        # programmed
-        row = np.where(surface.row < 0, surface.programmed_row, surface.row)
+        # the target that leaves the surface as written; if no tool touches the facet, the one that cuts into it as
+        # programmed; −1: none
+        is_untouched = surface.row < 0
+        row = np.where(is_untouched, surface.programmed_row, surface.row)
         place = np.minimum(np.searchsorted(self.places.row, row), len(self.places.row) - 1)
         bound = np.full(len(place), np.nan) if surface.bound is None else surface.bound
         values = {"before": surface.before, "after": surface.after, "u95": bound, "programmed": surface.programmed}
@@ -333,7 +335,7 @@ def _worst_rows(measure: Array, rapid: Bools, line: Ints) -> Ints:
     :param rapid: (K,) True for targets that do not count.
     :param line: (K,) source line of each target.
     """
-    value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))
+    value = np.where(rapid, -1.0, np.nan_to_num(measure, nan=np.inf))  # −1: below all others
     # the lines are sought among the largest values only: sorting all of a long program takes longer (400: assumed)
     count = min(len(value), 400 * _WORST_LINES)
     largest_rows = np.argpartition(-value, count - 1)[:count]
@@ -411,7 +413,10 @@ class ShownTargets(Struct, frozen=True, eq=False):
     path_columns: Columns
 
     def place_of_row(self, row: int) -> int:
-        """Return the place of a row of the result, or the first place after it, or else the last place."""
+        """Return the place of a row of the result: the index of that target among those that the page shows.
+
+        If it is not shown, the first place after it, or else the last place.
+        """
         return min(int(np.searchsorted(self.row, row)), len(self.row) - 1)
 
 
@@ -571,7 +576,7 @@ def _durations(result: Result, length: Array) -> Array:
     """
     motions = result.program.motions
     feed, kind = motions.feed[result.motion], motions.kind[result.motion]
-    joint_time = largest(np.diff(result.q, axis=0, prepend=result.q[:1]) / result.robot.speed)
+    joint_time = largest(np.diff(result.q, axis=0, prepend=result.q[:1]) / result.robot.speed)  # of the slowest joint
     has_feed = (kind != PTP) & (feed > 0.0)
     feed_time = length / np.where(has_feed, feed, 1.0)
     return np.where(has_feed, np.maximum(feed_time, _turn_times(result)), joint_time)

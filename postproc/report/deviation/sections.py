@@ -53,15 +53,18 @@ if TYPE_CHECKING:
 
 def verdict_section(data: Deviation) -> Section:
     """Return the section of the verdict: headline, three answers, reasons, what holds, and the assumptions."""
-    answer = data.content.verdict
-    parts: list[Part] = [Verdict(answer.state, *split_headline(answer)), answer_facts(answer)]
-    if answer.state != "ok":
-        kind: Kind = "error" if answer.state == "failed" else ""
-        parts.append(Notes(tuple(Note(as_sentence(text), kind) for text in answer.reasons), "Why", bulleted=True))
-    holds = Notes(tuple(Note(as_sentence(text)) for text in answer.holds), "What holds", bulleted=True)
-    assumes = Notes(tuple(Note(as_sentence(text)) for text in answer.assumes), "Under these assumptions", bulleted=True)
-    inner = (holds, assumes) if answer.holds else (assumes,)
-    parts.append(Fold("What holds, and under which assumptions" if answer.holds else "Under which assumptions", inner))
+    verdict = data.content.verdict
+    parts: list[Part] = [Verdict(verdict.state, *split_headline(verdict)), answer_facts(verdict)]
+    if verdict.state != "ok":
+        kind: Kind = "error" if verdict.state == "failed" else ""
+        parts.append(Notes(tuple(Note(as_sentence(text), kind) for text in verdict.reasons), "Why", bulleted=True))
+    passed_checks = Notes(tuple(Note(as_sentence(text)) for text in verdict.holds), "What holds", bulleted=True)
+    assumption_notes = tuple(Note(as_sentence(text)) for text in verdict.assumes)
+    assumptions = Notes(assumption_notes, "Under these assumptions", bulleted=True)
+    if verdict.holds:
+        parts.append(Fold("What holds, and under which assumptions", (passed_checks, assumptions)))
+    else:
+        parts.append(Fold("Under which assumptions", (assumptions,)))
     return Section("verdict", "Verdict", tuple(parts))
 
 
@@ -194,7 +197,7 @@ def _deflection_tiles(data: Deviation, surface: Surface) -> list[Tile]:
 
     Empty if no tool touches a facet. Deviations of the surface below 0 are gouges, above 0 material that is left.
     """
-    is_touched = surface.is_touched
+    is_touched = surface.is_touched  # facets next to which a tool passes: others have no deviation
     if not is_touched.any():
         return []
     deviation_before_correction, corrected_deviation = surface.before[is_touched], surface.after[is_touched]
@@ -216,16 +219,17 @@ def _programmed_tile(measures: OnSurface, data: Deviation) -> Tile:
 
     Depths up to the tolerance of the part do not count; without it, up to that of the path; else up to `CUT_MM`.
     """
+    # largest depth of the path in the part, and median height of the material that it leaves (None: unknown)
     label, cut_mm, left_mm = "Programmed path cuts into the part", measures.cut_into_mm, measures.left_mm
-    limit = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
-    if cut_mm > limit:
+    limit_mm = data.content.part.tolerance_mm or data.content.tolerance_mm or CUT_MM
+    if cut_mm > limit_mm:
         note = f"line {measures.source_line}: is the mesh in place, and the finished part?"
         return Tile(label, two_digit_text(cut_mm), "mm", note, "warning")
-    if left_mm is not None and left_mm > max(limit, LEFT_MM):
+    if left_mm is not None and left_mm > max(limit_mm, LEFT_MM):
         return Tile(
             "Programmed path leaves", two_digit_text(left_mm), "mm", "on half of what the tools touch", "warning"
         )
-    return Tile(label, "nowhere", "", f"by more than {limit:g} mm")
+    return Tile(label, "nowhere", "", f"by more than {limit_mm:g} mm")
 
 
 def _depth_tile(label: str, depth: float, note: str = "") -> Tile:
@@ -283,8 +287,8 @@ _CURVE_POINTS = 600
 """Points of a thinned curve: the largest and the smallest value of each group of points."""
 _MOST_CURVE_POINTS = 10 * _CURVE_POINTS
 """Largest number of points of a curve together with the ends of its runs (assumed)."""
-_KEY_TOLERANCE = 1e-9
-"""Share of a motion: a station that is less behind a target is at the target, but for rounding."""
+_PLACE_TOLERANCE = 1e-9
+"""Share of a motion: a station that is less than this behind a target is at the target, but for rounding."""
 _CM3_PER_MIN_OF_M3_PER_S = 1e6 * 60.0
 _CM3_PER_M3 = 1e6
 
@@ -304,14 +308,17 @@ def cut_section(data: Deviation) -> Section | None:
 
 
 def _cut_plots(data: Deviation, cuts: Cuts) -> list[Plot]:
-    """Return the plots of the engagement over the length of the path: depth and width, angles, removal rate, power."""
+    """Return the plots of the engagement over the length of the path: depth and width, angles, removal rate, power.
+
+    :param cuts: engagement of the tool in the stock at stations: places on motions at which it was computed.
+    """
     stations = _stations_in_contact(cuts)
     # t is in [0, 1]: motion + t increases along the program, for targets and for stations
-    target_key, station_key = data.result.motion + data.result.t, stations.motion + stations.t
+    target_place, station_place = data.result.motion + data.result.t, stations.motion + stations.t
     # of each station the target that follows it, or is at it; then the place of the page at or after that target
-    row = np.searchsorted(target_key, station_key - _KEY_TOLERANCE)
+    row = np.searchsorted(target_place, station_place - _PLACE_TOLERANCE)
     place = np.minimum(np.searchsorted(data.places.row, row), len(data.places.row) - 1)
-    length_mm = np.interp(station_key, target_key, data.places.path_length) * MM_PER_M
+    length_mm = np.interp(station_place, target_place, data.places.path_length) * MM_PER_M
 
     def curve(values: Array, name: str, colour: Colour) -> Curve:
         """Return the values of the cuts at the stations as a curve."""
@@ -387,7 +394,7 @@ class _ContactStations(NamedTuple):
 
 
 def _stations_in_contact(cuts: Cuts) -> _ContactStations:
-    """Return the stations in contact with the stock.
+    """Return the stations in contact with the stock: places on motions at which the engagement was computed.
 
     A motion with a single station has the same engagement all along: the station is returned at both of its ends.
     """
@@ -711,9 +718,10 @@ def turn_section(data: Deviation) -> Section | None:
     tool_turn = data.result.turn
     if tool_turn is None:
         return None
-    turns = placement.bin_turns(tool_turn)
+    turns = placement.bin_turns(tool_turn)  # (K,) chosen turn at each row of the map [rad]
+    # a block is a stretch of the path that is turned alike; a row of the map is at a share of its block, 1 at the end
     blocks = tool_turn.map.blocks
-    # length of the path up to each row of the map [m]; a share of 1 is the end of its block
+    # length of the path up to each row of the map [m]
     metres = np.cumsum(blocks.length)[blocks.block] - blocks.length[blocks.block] * (1.0 - blocks.share)
     degrees = (tool_turn.map.offset + tool_turn.constant) * DEG_PER_RAD
     line = _wrap_to_map((turns + tool_turn.constant) * DEG_PER_RAD, degrees)
@@ -789,9 +797,10 @@ def _wrap_to_map(angle: Array, degrees: Array) -> Array:
 
     :param degrees: angles of the rows of the map [deg], evenly spaced.
     """
-    low = degrees[0] - 0.5 * (degrees[1] - degrees[0])
-    line = (angle - low) % 360.0 + low
-    line[1:][np.abs(np.diff(line)) > 180.0] = np.nan
+    lower_edge = degrees[0] - 0.5 * (degrees[1] - degrees[0])
+    line = (angle - lower_edge) % 360.0 + lower_edge
+    has_jump = np.abs(np.diff(line)) > 180.0
+    line[1:][has_jump] = np.nan
     return np.asarray(line)
 
 
@@ -803,6 +812,7 @@ def _gain_sentences(tool_turn: Turn, turns: Array) -> list[str]:
     :param turns: (K,) chosen turn [rad] at each row of the map.
     """
     cut_length = tool_turn.map.blocks.cut_length
+    # expected error (K, J) [m] at each row of the map with each of J turns (J,) [rad]
     error, offset = tool_turn.map.error, tool_turn.map.offset
     step = offset[1] - offset[0]
     columns = np.rint((turns - offset[0]) / step).astype(np.int64) % len(offset)  # offsets go round once

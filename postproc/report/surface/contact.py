@@ -69,14 +69,14 @@ def is_touching(from_contact: Array, axis: Array, normal: Array, cutter: Cutter)
     :param axis: (n, 3) unit vectors from the tip to the spindle.
     :param normal: (n, 3) outward normals of the facets.
     """
-    up = np.einsum("ni,ni->n", normal, axis)
-    sine = np.sqrt(np.maximum(1.0 - up**2, 0.0))
-    height = np.einsum("ni,ni->n", from_contact, axis)
+    cosine = np.einsum("ni,ni->n", normal, axis)
+    sine = np.sqrt(np.maximum(1.0 - cosine**2, 0.0))
+    height = np.einsum("ni,ni->n", from_contact, axis)  # of the tip over the place of contact, along the spindle
     lateral = norm(from_contact - height[:, None] * axis)
     limit = contact_tolerance(cutter)
     on_level = (np.abs(height) <= limit) & (lateral <= cutter.radius - cutter.corner + limit)
     on_wall = (height <= _WALL_HEIGHT_TOLERANCE) & (height >= -LENGTH_IN_RADII * cutter.radius) & (lateral <= limit)
-    is_level, is_wall = (up > 0.0) & (sine <= LEVEL_SINE), sine >= WALL_SINE
+    is_level, is_wall = (cosine > 0.0) & (sine <= LEVEL_SINE), sine >= WALL_SINE
     return np.asarray(np.where(is_level, on_level, np.where(is_wall, on_wall, np.hypot(height, lateral) <= limit)))
 
 
@@ -100,7 +100,7 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     """
     _, nearest = path.tree.query(centre)
     axis = path.axis[nearest]  # one spindle direction for all candidates of a facet: it changes little between them
-    up = np.einsum("ni,ni->n", normal, axis)
+    cosine = np.einsum("ni,ni->n", normal, axis)  # between normal and spindle
     # facets on the first axis of the arrays, their candidates on the second
     _, candidates = path.tree.query(centre, k=min(_MOST_CANDIDATES, len(path.point)))
     candidates = candidates.reshape(len(centre), -1)
@@ -109,11 +109,12 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     height = np.einsum("nki,ni->nk", from_centre, axis)
     outward_distance = np.einsum("nki,ni->nk", from_centre, normal)
     distance = np.linalg.norm(from_centre, axis=-1)
-    can_touch = (distance <= _MOST_RADIUS) & _can_touch(height, outward_distance, up[:, None])
+    can_touch = (distance <= _MOST_RADIUS) & _can_touch(height, outward_distance, cosine[:, None])
     step = path.step[candidates]
     # 1e-300 keeps zero out of the denominator
-    climb = np.abs(np.einsum("nki,ni->nk", step, axis)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
-    can_touch &= (climb <= _STEEP_COSINE) | (up <= _STEEP_COSINE)[:, None]
+    step_cosine = np.abs(np.einsum("nki,ni->nk", step, axis)) / np.maximum(np.linalg.norm(step, axis=-1), 1e-300)
+    is_plunge = step_cosine > _STEEP_COSINE
+    can_touch &= ~is_plunge | (cosine <= _STEEP_COSINE)[:, None]
     distance = np.where(can_touch, distance, np.inf)
     facets, best = np.arange(len(centre)), np.argmin(distance, axis=1)
     sample, smallest = candidates[facets, best], distance[facets, best]
@@ -122,14 +123,14 @@ def nearest_place(path: CutPath, centre: Array, normal: Array) -> NearestPlace:
     return NearestPlace(row, share, smallest)
 
 
-def _can_touch(height: Array, outward_distance: Array, up: Array) -> Bools:
+def _can_touch(height: Array, outward_distance: Array, cosine: Array) -> Bools:
     """Return whether tools of any shape, of a radius up to `_MOST_RADIUS`, can touch n facets from k places each.
 
     The tip must be outside of the facet, and lower than it by r (1 − n·a) at most, see the module docstring.
 
     :param height: (n, k) height of the tip above the facet along the spindle [m].
     :param outward_distance: (n, k) distance of the tip from the facet along the normal [m].
-    :param up: (n, 1) cosine between normal and spindle.
+    :param cosine: (n, 1) cosine between normal and spindle.
     """
-    reachable = (height <= _PASS_TOLERANCE) & (outward_distance >= -_PASS_TOLERANCE) & (up >= LEAST_COSINE)
-    return np.asarray(reachable & (height >= -_MOST_RADIUS * (1.0 - up) - _PASS_TOLERANCE))
+    is_reachable = (height <= _PASS_TOLERANCE) & (outward_distance >= -_PASS_TOLERANCE) & (cosine >= LEAST_COSINE)
+    return np.asarray(is_reachable & (height >= -_MOST_RADIUS * (1.0 - cosine) - _PASS_TOLERANCE))

@@ -60,7 +60,8 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
 
     :param centre: (n, 3) centres of the facets [m], `normal` (n, 3) their outward normals.
     """
-    largest = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
+    # without correction (0), and with the program as written (1)
+    largest_deviations = [float(norm(deviation).max(initial=0.0)) for deviation in path.deviation]
     # sorted by the centre of the corner radius; cells of a quarter of the tool's radius (assumed)
     grid = _Grid.of(path.point + cutter.corner * path.axis, 0.25 * cutter.radius)
     parts = []
@@ -70,9 +71,9 @@ def remaining_surface(path: CutPath, centre: Array, normal: Array, cutter: Cutte
         facets = _Facets.of(centre[rows], normal[rows], path.axis[nearest], cutter)
         highest, offset = _surface_bounds(path, facets, cutter)
         # deviations move the tool of a facet, and those that compete with it, by the largest one each
-        low, high = _search_boxes(facets, cutter, highest + 2.0 * max(largest), offset)
+        low, high = _search_boxes(facets, cutter, highest + 2.0 * max(largest_deviations), offset)
         pairs = _Pairs(*grid.points_in_boxes(low, high))
-        parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest))
+        parts.append(_lowest_entries(path, facets, cutter, pairs, highest, largest_deviations))
     return RemainingSurface(
         np.concatenate([part.programmed for part in parts]),
         np.concatenate([part.deflected for part in parts], axis=1),
@@ -134,19 +135,22 @@ class _DeflectedEntries(NamedTuple):
 
 
 def _lowest_entries(
-    path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest: list[float]
+    path: CutPath, facets: _Facets, cutter: Cutter, pairs: _Pairs, highest: Array, largest_deviations: list[float]
 ) -> RemainingSurface:
     """Return the surfaces at n facets: the lowest entries into tools at samples that are paired with them.
 
+    An entry is the height over the facet at which its normal enters a tool.
+
     :param pairs: facets, and samples that may cut them.
     :param highest: (n,) upper bound of the programmed surface [m].
-    :param largest: largest deviation of the tip [m] without correction (0), and with the program as written (1).
+    :param largest_deviations: largest deviation of the tip [m] without correction (0), and with the program as written
+        (1).
     """
     count, limit = len(facets.centre), contact_tolerance(cutter)
     tip, _ = _tips(path, facets, pairs, None)
     line = _Line.of(tip, path.axis[pairs.sample], facets, pairs.facet)
     # deviations move the tool of a facet, and those that compete with it, by the largest one each
-    gap = highest + 2.0 * max(largest)
+    gap = highest + 2.0 * max(largest_deviations)
     # _first_entry lowers its limit in place
     nominal = _first_entry(line, pairs.facet, -limit, gap.copy(), cutter)
     low_pairs = np.flatnonzero(nominal.lower_bound <= gap[pairs.facet])
@@ -156,7 +160,7 @@ def _lowest_entries(
     touched_facets = np.flatnonzero(is_touched)
     contacts = _Contacts(touched_facets, nominal.height[touched_facets], pairs.sample[nominal.line[touched_facets]])
     deflected, row, share = np.full((2, count), np.inf), np.full(count, -1), np.zeros(count)
-    for case, deviation in enumerate(largest):
+    for case, deviation in enumerate(largest_deviations):
         gap = highest + 2.0 * deviation
         near_pairs = pairs.take(is_touched[pairs.facet] & (nominal.lower_bound <= gap[pairs.facet]))
         entries = _deflected_entries(
@@ -338,15 +342,16 @@ def _search_boxes(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) ->
     :param offset: (n,) distance of the nearest sample from the place of contact [m].
     """
     centre, normal, axis, _ = facets
-    up = np.einsum("ni,ni->n", normal, axis)
+    cosine = np.einsum("ni,ni->n", normal, axis)  # between normal and spindle
     limit = contact_tolerance(cutter)
     # boxes may be too large, not too small: 1.1, 0.1 and 1.5 below are margins for the spacing of samples (assumed)
     # on a plane a tool of radius R enters up to the gap h within √(2Rh) of the contact: the height of a chord
     spread = _SPREAD_FACTOR * np.sqrt(2.0 * cutter.radius * gap) + gap + np.minimum(offset, 1.5 * limit)
     low, high = (centre + cutter.radius * normal + sign * spread[:, None] for sign in (-1.0, 1.0))
-    is_wall = up**2 <= 1.0 - WALL_SINE**2
-    by_side = np.ones(len(up), dtype=bool) if cutter.corner < cutter.radius else up < _STEEP_COSINE
-    reach = np.minimum(LENGTH_IN_RADII * cutter.radius, cutter.corner + (gap + limit) / np.maximum(up, 1e-6))
+    is_wall = cosine**2 <= 1.0 - WALL_SINE**2
+    is_ball = cutter.corner >= cutter.radius
+    by_side = cosine < _STEEP_COSINE if is_ball else np.ones(len(cosine), dtype=bool)
+    reach = np.minimum(LENGTH_IN_RADII * cutter.radius, cutter.corner + (gap + limit) / np.maximum(cosine, 1e-6))
     middle = np.where(is_wall[:, None], centre + cutter.radius * normal, centre)
     lateral = np.where(is_wall, spread + limit, 1.1 * cutter.radius + gap)
     half = lateral[:, None] * np.sqrt(np.maximum(1.0 - axis**2, 0.0)) + 0.1 * cutter.radius
@@ -360,12 +365,12 @@ def _search_boxes(facets: _Facets, cutter: Cutter, gap: Array, offset: Array) ->
 class _Grid(Struct, frozen=True, eq=False):
     """Points in cubic cells, sorted by cell.
 
-    :param order: (S,) points by cell, and key: (S,) the number of the cell of each, ascending.
+    :param order: (S,) points by cell, and cell_number: (S,) the number of the cell of each, ascending.
     :param corner: (3,) of the first cell [m]; size: of a cell [m]; shape: (3,) number of cells.
     """
 
     order: Ints
-    key: Ints
+    cell_number: Ints
     corner: Array
     size: float
     shape: Ints
@@ -376,9 +381,9 @@ class _Grid(Struct, frozen=True, eq=False):
         corner = point.min(axis=0)
         cell = np.floor((point - corner) / size).astype(np.int64)
         shape = cell.max(axis=0) + 1
-        key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]  # z varies fastest
-        order = np.argsort(key, kind="stable")
-        return cls(order, key[order], corner, size, shape)
+        cell_number = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]  # z varies fastest
+        order = np.argsort(cell_number, kind="stable")
+        return cls(order, cell_number[order], corner, size, shape)
 
     def points_in_boxes(self, low: Array, high: Array) -> tuple[Ints, Ints]:
         """Return box and point (P,) of the points in the cells that boxes (n, 3) touch."""
@@ -387,10 +392,10 @@ class _Grid(Struct, frozen=True, eq=False):
         size = np.maximum(last - first + 1, 0)
         columns = np.where(size[:, 2] > 0, size[:, 0] * size[:, 1], 0)
         box = np.repeat(np.arange(len(low)), columns)
-        # a column of cells along z is contiguous in `key`: one search at each end of it finds all its points
+        # a column of cells along z has consecutive numbers: one search at each end of it finds all its points
         column = ragged_range(columns)
         x, y = first[box, 0] + column // size[box, 1], first[box, 1] + column % size[box, 1]
-        key = (x * self.shape[1] + y) * self.shape[2]
-        begin = np.searchsorted(self.key, key + first[box, 2])
-        count = np.searchsorted(self.key, key + last[box, 2], side="right") - begin
+        lowest_cell = (x * self.shape[1] + y) * self.shape[2]  # number of the cell at z = 0 of each column
+        begin = np.searchsorted(self.cell_number, lowest_cell + first[box, 2])
+        count = np.searchsorted(self.cell_number, lowest_cell + last[box, 2], side="right") - begin
         return np.repeat(box, count), self.order[np.repeat(begin, count) + ragged_range(count)]

@@ -33,8 +33,8 @@ class Surface(Struct, frozen=True, eq=False):
         if no tool deviated.
     :param after: (F,) deviation of the surface with the program as written, likewise.
     :param bound: (F,) 95 % bound of the error with the program as written; None if the model states no uncertainty.
-    :param row: (F,) row of the result at the end of the piece of path that leaves the surface with the program as
-        written; −1 where no tool touches.
+    :param row: (F,) target, as row of the result, at the end of the piece of path that leaves the surface with the
+        program as written; −1 where no tool touches. A piece leads from one target to the next.
     :param programmed: (F,) distance of the surface that the programmed path makes from the mesh; below 0 the programmed
         path itself cuts into the part. NaN where no tool reaches, and without shapes of the tools where no tip is
         inside the mesh.
@@ -71,7 +71,7 @@ def surface(
     corners: Array,
     cutters: Mapping[int, Cutter] | None = None,
     mesh_frame: Array | None = None,
-    coarse: Array | None = None,
+    facet_error: Array | None = None,
     *,
     tool: Ints | None = None,
 ) -> Surface:
@@ -84,17 +84,18 @@ def surface(
         unknown, and the nearest place of the path counts.
     :param mesh_frame: (4, 4) frame of the mesh in the robot root [m]; None: the mesh is in the only `$BASE` of the
         program.
-    :param coarse: (F,) distance of each facet from the surface that it approximates [m]; smaller cuts of the programmed
-        path do not count. None: 0.
+    :param facet_error: (F,) distance of each facet from the surface that it approximates [m]; smaller cuts of the
+        programmed path do not count. None: 0.
     :param tool: (K,) number of the tool of each target; None: all targets have tool 0.
     """
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(norm(normal), 1e-300)[:, None]  # a facet without area keeps a normal of zero
     frames = Frames.of(result, mesh_frame)
-    paths = list(_tool_paths(result, frames, cutters, np.zeros(len(result), dtype=np.int64) if tool is None else tool))
+    tool_number = np.zeros(len(result), dtype=np.int64) if tool is None else tool
+    paths = list(_tool_paths(result, frames, cutters, tool_number))
     depth, cut_row = _programmed_cuts(paths, corners, normal)
     # cuts up to the distance of arcs from their chords are not certain
-    cut_row[depth <= (CHORD_DISTANCE if coarse is None else coarse + CHORD_DISTANCE)] = -1
+    cut_row[depth <= (CHORD_DISTANCE if facet_error is None else facet_error + CHORD_DISTANCE)] = -1
     centre = corners.mean(axis=1)
     if cutters is None:
         place = _nearest_places(paths, centre, normal)
@@ -151,7 +152,7 @@ def _ball_radius(cutter: Cutter | None) -> float | None:
 
 
 def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array, normal: Array) -> tuple[Array, Ints]:
-    """Return the depth by which the programmed path cuts into each facet, and its row of the result.
+    """Return the depth by which the programmed path cuts into each facet, and the target (row of the result) there.
 
     :param corners: (F, 3, 3) corners of the facets [m], `normal` (F, 3) their outward normals.
     :returns: (F,) depth [m], 0 without a cut; (F,) row of the result that cuts deepest, −1 without a cut.
@@ -165,9 +166,9 @@ def _programmed_cuts(paths: list[tuple[CutPath, Cutter | None]], corners: Array,
         for first in range(0, len(centre), _CHUNK_FACETS):
             part = slice(first, first + _CHUNK_FACETS)
             tool_depth, tool_row = cut_depths(mesh, path, centre[part], normal[part], cutter)
-            deeper = tool_depth > depth[part]
-            row[part] = np.where(deeper, tool_row, row[part])
-            depth[part] = np.where(deeper, tool_depth, depth[part])
+            is_deeper = tool_depth > depth[part]
+            row[part] = np.where(is_deeper, tool_row, row[part])
+            depth[part] = np.where(is_deeper, tool_depth, depth[part])
     return depth, row
 
 
@@ -211,11 +212,12 @@ def _deepest_surfaces(surfaces: list[RemainingSurface], count: int) -> _DeepestS
     """
     programmed_height, deflected_heights = np.full(count, np.inf), np.full((2, count), np.inf)
     row, share = np.full(count, -1), np.zeros(count)
-    for tool in surfaces:
-        is_deeper = tool.deflected[1] < deflected_heights[1]  # 1: with the program as written
-        row, share = np.where(is_deeper, tool.row, row), np.where(is_deeper, tool.share, share)
-        programmed_height = np.minimum(programmed_height, tool.programmed)
-        deflected_heights = np.minimum(deflected_heights, tool.deflected)
+    for surface_of_tool in surfaces:
+        is_deeper = surface_of_tool.deflected[1] < deflected_heights[1]  # 1: with the program as written
+        row = np.where(is_deeper, surface_of_tool.row, row)
+        share = np.where(is_deeper, surface_of_tool.share, share)
+        programmed_height = np.minimum(programmed_height, surface_of_tool.programmed)
+        deflected_heights = np.minimum(deflected_heights, surface_of_tool.deflected)
     programmed_height[row < 0] = np.nan
     deflected_heights[:, row < 0] = np.nan
     return _DeepestSurface(

@@ -90,14 +90,16 @@ def cut_depths(mesh: Mesh, path: CutPath, centre: Array, normal: Array, cutter: 
     if not len(facet):
         return depth, deepest_row
     from_tip, inward = centre[facet] - tip, -normal[facet]
+    # the length of the normal inside the tool by bisection: the tool is convex, so that the normal leaves it once, and
+    # sooner than at twice the length of the tool
     low, high = np.zeros(len(facet)), np.full(len(facet), 2.0 * LENGTH_IN_RADII * cutter.radius)
-    # the length of the normal inside the tool by bisection: the tool is convex, so that the normal leaves it once
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         is_inner = _is_inside(from_tip + middle[:, None] * inward, axis, cutter)
         low, high = np.where(is_inner, middle, low), np.where(is_inner, high, middle)
-    end, _ = mesh.distance(centre[facet] + low[:, None] * inward)
-    facet_depth = np.minimum(low, np.abs(end))
+    # where the normal leaves the tool, another side of the part may be nearer: thin walls are cut through
+    end_distance, _ = mesh.distance(centre[facet] + low[:, None] * inward)
+    facet_depth = np.minimum(low, np.abs(end_distance))
     order = np.argsort(facet_depth, kind="stable")
     depth[facet[order]], deepest_row[facet[order]] = facet_depth[order], row[order]  # the deepest is written last
     return depth, deepest_row
