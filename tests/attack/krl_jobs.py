@@ -38,11 +38,12 @@ class Job:
     :param keep: it may hold motions that only the running robot knows.
     :param forces: it has comments with forces.
     :param selects: inputs choose jobs that begin and end in the home position.
+    :param endless: it ends in a LOOP without EXIT.
     :param jumps: it may jump over statements, leave routines early, and call functions that move.
     :ivar files: name → text.
     """
 
-    def __init__(self, rng, *, keep=False, unknown=True, forces=True, jumps=False, selects=False):
+    def __init__(self, rng, *, keep=False, unknown=True, forces=True, jumps=False, selects=False, endless=False):
         self.jumps, self.selects = jumps, selects
         self.rng, self.keep, self.unknown, self.forces = rng, keep, unknown, forces
         self.routines = ["CUT", "DEEP", "FACE"][: int(rng.integers(0, 4))]
@@ -56,7 +57,8 @@ class Job:
         main.append(self.line())
         for _ in range(int(rng.integers(2, 6))):
             main += self.statement(0, "main")
-        main += [self.pick("PTP XS", "LIN XS", "LIN XP1"), "END"]
+        main += self.endless_loop() if endless else [self.pick("PTP XS", "LIN XS", "LIN XP1")]
+        main.append("END")
         subs = []
         elsewhere = []
         for number, name in enumerate(self.routines):
@@ -204,6 +206,18 @@ class Job:
             return [*jump, self.line(), *rest, self.line(), *again, f"{label}:", HOME, self.line()]
         meet = self.line().removesuffix(" C_DIS")
         return [meet, *jump, *self.body(depth, where, below, inner=True), meet, f"{label}:", self.line()]
+
+    def endless_loop(self):
+        """A LOOP without EXIT: its round ends where, and under the force with which, the motion before it does."""
+        meet = self.pick(HOME, "LIN XS", "LIN XP1")
+        force = [self.force()] if self.forces and self.maybe(0.8) else []
+        wait = self.pick("WAIT SEC 1", "WAIT FOR $OUT[1]", "HALT")
+        head = self.pick([], [wait], [wait], ["$OUT[4]=FALSE", wait])
+        if self.unknown and head and self.maybe(0.3):
+            head = [f"IF $IN[{int(self.rng.integers(1, 9))}] THEN", *self.pick([], [self.line(), meet]), wait, "ENDIF"]
+        begin = [self.force()] if force else []
+        body = self.body(1, "main", None, inner=True)
+        return [*force, meet, "LOOP", *head, *begin, *body, *force, meet, *self.pick([], [], [wait]), "ENDLOOP"]
 
     def selected(self, depth, where, below):
         """Jobs chosen by inputs, or a detour; each begins and ends in the home position."""

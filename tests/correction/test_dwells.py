@@ -182,6 +182,36 @@ def test_a_wait_in_one_of_two_branches_is_warned_of_with_what_to_do():
         assert (distances(result)[branch_ends & (result.t == 1.0)] < 2e-4).all() == waits_in_both
 
 
+CUT_FORCE = ";FORCE FX=-110 FY=-190 FZ=330"
+HOME = "PTP {A1 0,A2 -70,A3 110,A4 0,A5 50,A6 0}"
+POINTS = [f"LIN {{X {x},Y 0,Z 0,A 180,B 0,C 180}}" for x in (50, 70)]
+
+
+@pytest.mark.parametrize("wait", [["WAIT SEC 1"], ["IF $IN[1] THEN", "HALT", "ENDIF"], ["PAUSE()"]])
+@pytest.mark.parametrize(("before", "begin"), [([CUT_FORCE, POINTS[1]], []), ([HOME], [HOME])])
+def test_a_round_ends_at_the_nominal_place_if_the_next_one_begins_with_a_wait(before, begin, wait):
+    round_lines = ["LOOP", *wait, *begin, CUT_FORCE, *POINTS, "ENDLOOP"]
+    text = body(*before, *round_lines) + "DEF PAUSE()\r\nWAIT SEC 1\r\nEND\r\n"
+    program, model = setting.read_with_robot(text, krl_programs.CELL, "krl")
+    result = correction.process(program, model, krl_programs.CELL, None)
+    assert not result.failed, result.issues
+    assert not issues_of(result, "dwell-in-material")
+    lines = [number for number, line in enumerate(text.splitlines(), 1) if line == POINTS[1]]
+    ends = np.isin(result.source_line, lines) & (result.t == 1.0)
+    assert np.count_nonzero(ends) == len(lines) == 1 + (not begin)
+    np.testing.assert_allclose(distances(result)[ends], 0.0, atol=2e-4)
+    assert distances(result).max() > 0.2
+
+
+def test_a_round_whose_force_ends_before_a_wait_begins_with_a_force_comment():
+    text = body(HOME, CUT_FORCE, "LOOP", *POINTS, "WAIT SEC 1", HOME, "ENDLOOP")
+    program, model = setting.read_with_robot(text, krl_programs.CELL, "krl")
+    result = correction.process(program, model, krl_programs.CELL, None)
+    assert not result.failed, result.issues
+    lines = result.documents[0].text.splitlines()
+    assert lines[lines.index("LOOP") + 1].startswith(";FORCE FX=-110")
+
+
 def test_waits_of_krl_are_known_and_those_that_take_no_time_are_not():
     lines = ["LIN {X 7}", "WAIT SEC 0", "LIN {X 8}", " wait sec 0.5 ;x", "LIN {X 9}", "WAIT FOR TRUE", "LIN {X 8}"]
     lines += ["WAIT FOR $IN[3]", "FOR I=1 TO 2", "LIN {Y 5}", "WAIT SEC T", "ENDFOR", "HALT", "; WAIT SEC 3"]
@@ -231,3 +261,10 @@ def test_waits_of_rapid_are_known_in_execution_order():
     text = rapid_reading.module(lines, routines="PROC Hold()\nWaitTime\\InPos,0.5;\nENDPROC")
     events = rapid_reading.read(text).events
     assert [(event.kind, event.before) for event in events] == [("dwell", count) for count in (2, 3, 3, 3, 4)]
+
+
+def test_a_wait_of_rapid_that_begins_a_loop_without_end_is_behind_its_last_move_too():
+    move = f"MoveL {rapid_reading.at(0, 0, 20)}{rapid_reading.tail()}"
+    lines = ["WHILE TRUE DO", "Hold;", rapid_reading.MOVE_HOME, move, "ENDWHILE"]
+    text = rapid_reading.module(lines, routines="PROC Hold()\nWaitTime 0.5;\nENDPROC")
+    assert [event.before for event in rapid_reading.read(text).events] == [1, 3]

@@ -331,6 +331,14 @@ def test_a_loop_without_exit_is_one_round_that_repeats(what):
     assert np.allclose(again.motions.target[:, :3, 3], program.motions.target[:, :3, 3] + moved)
 
 
+def test_a_loop_without_exit_whose_branches_leave_different_forces_to_the_next_round_is_refused():
+    branches = ["IF $IN[1] THEN", "; FORCE FX=9", FULL, "ELSE", "; FORCE FX=3", FULL, "ENDIF", HOME]
+    with pytest.raises(ProgramError, match="which force acts is not known") as caught:
+        read(body(HOME, "; FORCE FX=3", "LOOP", AWAY, *branches, "ENDLOOP"), COUNTERS_DAT)
+    assert caught.value.text == AWAY
+    read(body(HOME, "LOOP", "; FORCE FX=3", AWAY, *branches, "ENDLOOP"), COUNTERS_DAT)
+
+
 @pytest.mark.parametrize(
     ("lines", "problem"),
     [
@@ -346,6 +354,11 @@ def test_a_loop_without_exit_is_one_round_that_repeats(what):
         ([FULL, "LOOP", AWAY, FULL, "$BASE={X 1,Y 2,Z 3,A 0,B 0,C 0}", "ENDLOOP"], "leaves other frames"),
         ([FULL, "LOOP", AWAY, "; FORCE FX=9", FULL, "ENDLOOP"], "ends under another force than it began with"),
         ([FULL, "LOOP", HOME, AWAY, "; FORCE FX=9", FULL, "ENDLOOP"], "ends under another force than it began with"),
+        (
+            # the comment that restates the force in the branch is none of the program
+            [HOME, "LOOP", "IF $IN[1] THEN", AWAY, FULL, "ENDIF", HOME, "; FORCE FX=9", FULL, HOME, "ENDLOOP"],
+            "ends under another force than it began with",
+        ),
         ([FULL, "IF $IN[1] THEN", "LOOP", AWAY, FULL, "ENDLOOP", "ENDIF"], "LOOP never ends"),
         ([FULL, "SUB()"], "LOOP never ends"),
         ([FULL, "LOOP", "GO()", "K=2", FULL, "ENDLOOP"], "each one changes K for the next"),

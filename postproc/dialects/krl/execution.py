@@ -247,6 +247,15 @@ class Execution(Struct, frozen=True, eq=False):
         last_structure = self.body.loops_and_calls[-1] if self.body.loops_and_calls else None
         return last_structure if isinstance(last_structure, UnrolledLoop) and last_structure.is_endless else None
 
+    @property
+    def endless_loop_line(self) -> int:
+        """Line in the `.src` of the LOOP without EXIT: the line before its body; 0 if there is none."""
+        return 0 if self.endless_loop is None else self.trace.place(self.endless_loop.first).line - 1
+
+    def endless_loop_error(self, problem: str, advice: str) -> ProgramError:
+        """Return the error that the LOOP without EXIT cannot be corrected, at its line."""
+        return self.main.source.line_error(f"LOOP never ends, and {problem}", self.endless_loop_line, advice)
+
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
         """Return the value that a row of the trace (a line in execution order) assigns to the counter of a FOR.
 

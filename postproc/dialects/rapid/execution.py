@@ -752,7 +752,7 @@ class Execution:
         :raises RapidError: a later round differs, or the loop begins with a straight move, whose start differs.
         :raises _End: in all other cases.
         """
-        move_count, note_count = len(self.result.moves), len(self.result.notes)
+        move_count, note_count, wait_count = len(self.result.moves), len(self.result.notes), len(self.result.waits)
         values = {name: variable.value for name, variable in self._data_by_name(scope).items()}
         setting = self.setting
         self._execute_block(loop.body, scope, routine, depth)
@@ -772,6 +772,10 @@ class Execution:
             if self.setting != setting:
                 changed_names.add(_MOVE_SETTINGS)
             self._check_later_rounds(loop, scope, routine, depth, first_round, changed_names)
+        # waits before the first move of the round: all later rounds wait there behind the last one
+        self.result.waits += [
+            (start, len(self.result.moves)) for start, count in self.result.waits[wait_count:] if count == move_count
+        ]
         self.result.endless_loop = EndlessLoop(loop.start, move_count, note_count)
         raise _End
 

@@ -8,6 +8,7 @@ comment.
 from __future__ import annotations
 
 import re
+from bisect import bisect_right
 from collections.abc import Iterator, Mapping, Sequence, Set
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -15,17 +16,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, UnresolvedStructure
+from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, UnresolvedStructure, UnrolledLoop
 from postproc.dialects.krl.language.source import Source, comment_start
 from postproc.dialects.krl.language.tokens import FORCE
 from postproc.dialects.krl.language.trace import Trace
 from postproc.program import FORCE_COMMENT, Bools, Event, ForceNote, Ints, parse_force_note
 
 _Force = ForceNote | str | None
+_Event = tuple[int, int, _Force | Fork | Branch | Join]
+"""Line of the trace, order on the line, and a force comment, why the force is not known, or a fork, branch or join."""
 _FORCE_TOLERANCE = 0.01
 """Forces that differ by less [N, N·m] count as equal: they deflect the tool by a few nanometres."""
 _JOIN_ADVICE = "Let the last motion of each branch have the same force, in the axes of $BASE or of the tool."
 _FORCE_ADVICE = "Write a force comment before this motion."
+_LOOP_ADVICE = "Write a force comment, such as FORCE OFF, before the first motion of the LOOP."
 
 
 def force_comment_lines(source: Source) -> tuple[int, ...]:
@@ -43,13 +47,14 @@ def force_notes(
 ) -> list[tuple[int, ForceNote]]:
     """Return the force comments of a trace, each with its line of the trace, in order.
 
-    At branches and joins a comment is added that states the acting force again.
+    At branches and joins a comment is added that states the acting force again. In each round of a LOOP without EXIT
+    the forces must be those of the first.
 
     :param motions: (M,) lines of the motions in the trace.
     :param is_rapid: (M,) True for motions that carry no force.
     :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
     :param unchecked_joins: joins at which branches may end in different poses.
-    :raises ProgramError: the force on a motion is not known.
+    :raises ProgramError: the force on a motion is not known, or another one in the second round of a LOOP without EXIT.
     :raises ForceError: a comment cannot be read.
     """
     trace = execution.trace
@@ -67,7 +72,7 @@ def force_notes(
                 lines, comments = lines[~in_step], comments[~in_step]
     notes = list(_parsed_notes(trace, motions, lines, comments))
     marks = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
-    if not marks and not unknown_reasons:
+    if not marks and not unknown_reasons and execution.endless_loop is None:
         return notes
     return _ActiveForce(execution, motions, is_rapid, unchecked_joins).restated_notes(notes, unknown_reasons, marks)
 
@@ -107,6 +112,7 @@ class _ActiveForce:
     :ivar active_force: the comment in force; None: no force; a text: the reason why the force is not known.
     :ivar motion_force: the force on the last motion, in the same form; None if that motion carries no force.
     :ivar passed_line: last line of the trace whose motions have been passed.
+    :ivar loaded_rows: rows of motions that carry forces, from each of which on another force may act; `forces`: these.
     """
 
     def __init__(self, execution: Execution, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
@@ -128,6 +134,8 @@ class _ActiveForce:
         self.active_force: _Force = None
         self.motion_force: _Force = None  # on the last motion
         self.passed_line = 0  # no motion has been passed
+        self.loaded_rows: list[int] = []
+        self.forces: list[_Force] = []
 
     def restated_notes(
         self,
@@ -141,15 +149,42 @@ class _ActiveForce:
         :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
         :param marks: forks, branches and joins of the trace.
         """
-        # line, order on the line, event
-        events: list[tuple[int, int, _Force | Fork | Branch | Join]] = [
+        events: list[_Event] = [
             *((line, 0, note) for line, note in notes),
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
             *((mark.row, 2, mark) for mark in marks),
         ]
+        events.sort(key=lambda event: event[:2])
+        self._pass_events(events)
+        notes_of_program, loop = self.notes, self.execution.endless_loop
+        if loop is not None:
+            self._check_next_round(loop, [event for event in events if event[0] >= loop.first])
+        return notes_of_program
+
+    def _check_next_round(self, loop: UnrolledLoop, events: Sequence[_Event]) -> None:
+        """Refuse a LOOP without EXIT if a motion has another force in its second round than in the first.
+
+        :param events: the events in the LOOP.
+        :raises ProgramError: the force is another one, or not known.
+        """
+        next_round = _ActiveForce(self.execution, self.motions, self.is_rapid, self.unchecked_joins)
+        next_round.active_force, next_round.motion_force = self.active_force, self.motion_force
+        next_round.passed_line = loop.first - 1
+        next_round._pass_events(events)
+        for row, force in zip(next_round.loaded_rows, next_round.forces, strict=True):
+            first_force = self.forces[bisect_right(self.loaded_rows, row) - 1]
+            if _wrench_and_frame(force) != _wrench_and_frame(first_force):
+                problem = "its round ends under another force than it began with"
+                raise self.execution.endless_loop_error(problem, _LOOP_ADVICE)
+
+    def _pass_events(self, events: Sequence[_Event]) -> None:
+        """Pass events in their order, and the motions between and behind them.
+
+        :raises ProgramError: the force on a motion is not known, or branches end under different forces.
+        """
         # per open fork: the forces at it, and those at the ends of its branches
         open_forks: list[tuple[_ForcePair, list[_ForcePair]]] = []
-        for line, _, event in sorted(events, key=lambda event: event[:2]):
+        for line, _, event in events:
             # a comment acts on the motion of its own line, other events on the motions after it
             self._pass_motions(line - 1 if isinstance(event, ForceNote) else line)
             if isinstance(event, ForceNote):
@@ -172,7 +207,6 @@ class _ActiveForce:
                     end_forces.append(entry)
                 self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.execution.trace))
-        return self.notes
 
     def _pass_join(self, line: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
         """Set the force that acts after a join; if it differs between the branches, it is not known.
@@ -227,6 +261,9 @@ class _ActiveForce:
         if isinstance(self.active_force, str) and len(loaded_rows):
             problem = f"which force acts is not known: {self.active_force}"
             raise self.execution.trace.error(problem, int(self.motions[loaded_rows[0]]), _FORCE_ADVICE)
+        if len(loaded_rows):
+            self.loaded_rows.append(int(loaded_rows[0]))
+            self.forces.append(self.active_force)
         self.motion_force = None if self.is_rapid[stop - 1] else self.active_force
 
 
@@ -253,10 +290,11 @@ def _turns_with_path(wrench: Sequence[float], frame: str) -> bool:
 def _wrench_and_frame(force: _Force) -> tuple[Any, ...]:
     """Return the wrench (6,) [N, N·m] of a comment and the name of its axes.
 
-    No force (None): zeros in BASE. Unknown force (text): the text in place of the wrench, and an empty name.
+    No force (None), or a zero one in any axes: zeros in BASE. Unknown force (text): the text in place of the wrench,
+    and an empty name.
     """
     if isinstance(force, ForceNote):
-        return force.wrench, force.frame
+        return force.wrench, force.frame if any(force.wrench) else "BASE"
     return ((0.0,) * 6, "BASE") if force is None else (force, "")
 
 

@@ -22,7 +22,7 @@ from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import depends_on_start
 from postproc.errors import Issue, ProgramError
 from postproc.frames import MM_PER_M, Array, inverse
-from postproc.program import PTP, SPL, Carriage, ForceNote, FrameColumns, Ints, Motions, Starts, distinct
+from postproc.program import PTP, SPL, Carriage, FrameColumns, Ints, Motions, Starts, distinct
 
 _POSE_TOLERANCE = 1e-6
 """Poses that differ by less [m, rad] count as equal."""
@@ -39,7 +39,6 @@ _START_ADVICE = (
 )
 _LOOP_ADVICE = "Begin and end each round of the LOOP in one pose, for example with a PTP to all of A1 … A6."
 _SETTING_ADVICE = "Set before the LOOP what its rounds set."
-_FORCE_ADVICE = "Write a force comment, such as FORCE OFF, before the first motion of the LOOP."
 
 
 class BranchError(ProgramError):
@@ -342,7 +341,8 @@ def motions_before(
 ) -> Iterator[tuple[int, int]]:
     """Yield for rows of the trace each motion that may be the last before: the row and the motion; −1: none is.
 
-    Behind uncorrected motions nothing is yielded.
+    Behind uncorrected motions nothing is yielded. In a LOOP without EXIT the motions that may end its round are among
+    those before its first motion.
 
     :param line: (M,) lines of the trace with the motions.
     :param kept_lines: lines of uncorrected motions.
@@ -350,20 +350,34 @@ def motions_before(
     """
     steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
     other_rows, kept_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, kept_lines))
-    all_rows = distinct(np.concatenate([line, other_rows, kept_rows]))
+    moving_rows, loop = np.concatenate([line, kept_rows]), execution.endless_loop
+    passed_rows = other_rows
+    if loop is not None and loop.first not in moving_rows:  # a motion on its first row is before all waits in it
+        passed_rows = distinct(np.append(other_rows, loop.first))
+    all_rows = distinct(np.concatenate([moving_rows, passed_rows]))
     # with all joins unchecked, the end of each branch is kept, not one that stands for all
-    joins = frozenset(step for step in steps if isinstance(step, Join))
-    previous_rows = _branch_flow(steps, all_rows, joins).previous_motions
+    branch_flow = _branch_flow(steps, all_rows, frozenset(step for step in steps if isinstance(step, Join)))
+    previous_rows = branch_flow.previous_motions
     # the motions that may be the last up to each row of all rows; none up to an uncorrected motion; −1: the start
     last_motions: dict[int, set[int]] = {-1: {-1}} | {k: set() for k in np.searchsorted(all_rows, kept_rows).tolist()}
-    for index in np.searchsorted(all_rows, other_rows).tolist():
-        motions = set[int]()
-        for previous in previous_rows.get(index, {index - 1}):
-            if previous not in last_motions:
-                last_motions[previous] = {int(np.searchsorted(line, all_rows[previous]))}
-            motions |= last_motions[previous]
-        last_motions[index] = motions
-        yield from ((int(all_rows[index]), motion) for motion in sorted(motions))
+
+    def pass_rows() -> None:
+        """Store the motions that may be the last up to each row without a motion."""
+        for index in np.searchsorted(all_rows, passed_rows).tolist():
+            motions = set[int]()
+            for previous in previous_rows.get(index, {index - 1}):
+                if previous not in last_motions:
+                    last_motions[previous] = {int(np.searchsorted(line, all_rows[previous]))}
+                motions |= last_motions[previous]
+            last_motions[index] = motions
+
+    pass_rows()
+    if loop is not None:
+        first = int(np.searchsorted(all_rows, loop.first))
+        previous_rows[first] = previous_rows.get(first, frozenset({first - 1})) | branch_flow.last_motions
+        pass_rows()  # once more is enough: a round without motions passes on what it begins with
+    for row, index in zip(other_rows.tolist(), np.searchsorted(all_rows, other_rows).tolist(), strict=True):
+        yield from ((row, motion) for motion in sorted(last_motions[index]))
 
 
 def branch_spans(execution: Execution, trace_row: Ints) -> tuple[tuple[int, int], ...]:
@@ -591,17 +605,17 @@ def check_endless_loop(execution: Execution, rounds: EndlessRounds, settings: Se
     if rounds.first == rounds.stop:  # no motions
         return
     if problem := rounds.pose_difference():
-        raise _loop_error(execution, loop, f"its round ends {problem}", _LOOP_ADVICE)
+        raise execution.endless_loop_error(f"its round ends {problem}", _LOOP_ADVICE)
     begin, end = settings_at(settings, np.array([loop.first, loop.stop]))
     has_same_frames = np.array_equal(begin.base, end.base) and np.array_equal(begin.tool, end.tool)
     if begin.state != end.state or not has_same_frames:
-        raise _loop_error(execution, loop, "leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
+        raise execution.endless_loop_error("leaves other frames, speeds or modes than it begins with", _SETTING_ADVICE)
 
 
-def endless_loop_issue(execution: Execution, loop: UnrolledLoop) -> Issue:
-    """Return the issue, of severity "info", that a LOOP has no EXIT."""
+def endless_loop_issue(execution: Execution) -> Issue:
+    """Return the issue, of severity "info", that the last LOOP has no EXIT."""
     message = "LOOP has no EXIT: one round is corrected, and is what all rounds do. What follows it is never reached."
-    return Issue("info", "endless-loop", message, _loop_line(execution, loop))
+    return Issue("info", "endless-loop", message, execution.endless_loop_line)
 
 
 def endless_rounds(
@@ -626,43 +640,3 @@ def endless_rounds(
         all_predecessors,
     )
     return EndlessRounds(loop, first, stop, motions=motions, start=start, carriage=layout.carriage)
-
-
-def check_force(
-    execution: Execution, loop: UnrolledLoop, line: Ints, kind: Ints, notes: Sequence[tuple[int, ForceNote]]
-) -> None:
-    """Refuse a LOOP without EXIT whose first motion other than PTP has another force in the second iteration.
-
-    A force comment before that motion, in the LOOP, makes the two forces equal. PTPs have no force.
-
-    :param line: (M,) lines of the motions in the trace.
-    :param kind: (M,) their kinds.
-    :param notes: force comments, each with its line of the trace, in order.
-    :raises ProgramError: the force differs.
-    """
-    lines_with_force = line[(line >= loop.first) & (line < loop.stop) & (kind != PTP)]
-    if not len(lines_with_force) or any(loop.first <= note_line <= lines_with_force[0] for note_line, _ in notes):
-        return
-    if _acting_force(notes, loop.first) != _acting_force(notes, loop.stop):  # before the first and the second round
-        raise _loop_error(execution, loop, "its round ends under another force than it began with", _FORCE_ADVICE)
-
-
-def _acting_force(notes: Sequence[tuple[int, ForceNote]], line: int) -> tuple[object, ...]:
-    """Return wrench and frame of the last force comment before a line of the trace; empty for zero or no force.
-
-    :param notes: force comments, each with its line of the trace, in order.
-    """
-    earlier_notes = [note for note_line, note in notes if note_line < line]
-    if not earlier_notes or not any(earlier_notes[-1].wrench):  # a zero force is the same in all frames
-        return ()
-    return earlier_notes[-1].wrench, earlier_notes[-1].frame
-
-
-def _loop_line(execution: Execution, loop: UnrolledLoop) -> int:
-    """Return the line of a LOOP in its file: the line before its body."""
-    return execution.trace.place(loop.first).line - 1
-
-
-def _loop_error(execution: Execution, loop: UnrolledLoop, problem: str, advice: str) -> ProgramError:
-    """Return the error that a LOOP without EXIT cannot be corrected, at the line of the LOOP."""
-    return execution.main.source.line_error(f"LOOP never ends, and {problem}", _loop_line(execution, loop), advice)

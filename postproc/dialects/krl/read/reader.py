@@ -39,7 +39,6 @@ from postproc.dialects.krl.read.joins import (
     JoinedEnds,
     branch_spans,
     check_endless_loop,
-    check_force,
     check_joins,
     endless_loop_issue,
     endless_rounds,
@@ -387,8 +386,7 @@ def _checked_ends(
     """Return the groups of motions that end in one pose: before each join, and before a round of a LOOP without EXIT.
 
     :param path: frames of the program and flange at its start.
-    :raises ProgramError: motions of a group end in different poses, or a round ends with other settings, or under
-        another force, than it began.
+    :raises ProgramError: motions of a group end in different poses, or a round ends with other settings than it began.
     """
     execution = main.execution
     check_joins(execution, order.joins, motions, layout.carriage, path)
@@ -397,7 +395,6 @@ def _checked_ends(
         return ends
     rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
     check_endless_loop(execution, rounds, main.run.settings)
-    check_force(execution, loop, layout.trace_row, motions.kind, order.notes)
     return (*ends, *rounds.joined_ends())
 
 
@@ -429,8 +426,8 @@ def _program_issues(
     yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
     yield from issues_of(main, separation.sequence.motion_states, separation.sequence.columns, layout)
     yield from _cell_value_issues(executed_program)
-    if (loop := main.execution.endless_loop) is not None:
-        yield endless_loop_issue(main.execution, loop)
+    if main.execution.endless_loop is not None:
+        yield endless_loop_issue(main.execution)
 
 
 def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:

@@ -26,7 +26,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import chunks
 from postproc.decimals import number_text
-from postproc.dialects.force_comments import needs_comment, texts
+from postproc.dialects.force_comments import needs_comment, round_wrenches, texts
 from postproc.dialects.krl.language.motion_statements import MotionStatement, Trigger
 from postproc.dialects.krl.language.parser import is_approximated
 from postproc.dialects.krl.language.positions import CARTESIAN
@@ -487,7 +487,7 @@ class _Rewriter:
         note = np.searchsorted(self.layout.notes, limit_row) - 1  # the last comment that applies; −1: none
         # start=0.0: no force acts before the first comment
         needs_comments = needs_comment(self.comment_forces, self.targets.kind, note, self.program.notes, start=0.0)
-        needs_comments[self._targets_behind_releases(note)] = True
+        needs_comments[[*self._targets_behind_releases(note), *self._targets_of_next_round(rows, note)]] = True
         targets = np.flatnonzero(needs_comments)
         return dict(zip(targets.tolist(), texts(b";", self.comment_forces, targets), strict=True))
 
@@ -518,6 +518,23 @@ class _Rewriter:
             if has_force and not self.comment_forces.wrench[end : end + 1].any():
                 targets.append(target)
         return targets
+
+    def _targets_of_next_round(self, rows: Ints, note: Ints) -> list[int]:
+        """Return the first target under force of a LOOP without EXIT, if another force may be stated as its round ends.
+
+        :param rows: (K,) rows of the trace with the motions of the targets.
+        :param note: (K,) index in `notes` of the last note that applies to each target; −1: none.
+        """
+        loop, forces = self.layout.execution.endless_loop, self.comment_forces
+        if loop is None or forces is None:
+            return []
+        targets = np.flatnonzero((rows >= loop.first) & (rows < loop.stop) & (self.targets.kind != PTP))
+        is_stated = len(targets) > 0 and note[targets[0]] >= 0 and self.layout.notes[note[targets[0]]] >= loop.first
+        if not len(targets) or is_stated:
+            return []
+        wrench, frame = round_wrenches(forces.wrench[targets]), forces.frame[targets]
+        is_constant = (wrench == wrench[0]).all() and (frame == frame[0]).all()
+        return [] if is_constant else targets[:1].tolist()
 
     def _replace_comment(self, target: int, text: str) -> bool:
         """Replace the force comment on the line of a target; return whether this was possible.
