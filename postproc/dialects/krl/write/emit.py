@@ -88,7 +88,8 @@ class Emitter:
     :param starts: targets before which the program is divided into modules: the robot stops before them, and the first
         path target of each module has a force comment.
     :ivar has_force_comment: (T,) True for targets with a force comment on their line.
-    :ivar call_rows: targets before which lines of the cell call other programs, which may change `$BASE` and `$TOOL`.
+    :ivar call_targets: targets before which lines of the cell call other programs, which may change `$BASE` and
+        `$TOOL`.
     """
 
     def __init__(
@@ -104,22 +105,22 @@ class Emitter:
         self.comment_forces, self.starts = comment_forces, starts
         self.new_program = NewProgram(program, targets, cell, _WORDS)
         self.has_force_comment = np.zeros(len(targets), dtype=np.bool_)
-        self.call_rows: list[int] = []
+        self.call_targets: list[int] = []
 
     def write(self) -> WrittenProgram:
-        """Return the written program; fill `new_program`, `has_force_comment` and `call_rows`."""
-        new, count = self.new_program, len(self.targets)
-        new.stop_targets |= set(self.starts)
+        """Return the written program; fill `new_program`, `has_force_comment` and `call_targets`."""
+        new, count = self.new_program, len(self.targets)  # `new` collects the lines before each target
+        new.stop_targets |= set(self.starts)  # the robot stops before them
         head = [*self.header_lines(self.program.name), *self.start_lines()]
         new.add_events()
-        self.call_rows = [
+        self.call_targets = [
             target
             for target, statements in sorted(new.cell_lines.items())
             if target < count and calls_program(statements)
         ]
         new.issues += self._tool_change_issues()
-        changes = set(new.frame_changes())
-        for target in sorted(changes.union(self.call_rows)):
+        frame_changes = set(new.frame_changes())
+        for target in sorted(frame_changes.union(self.call_targets)):
             self._set_frames(target)
         distances = new.approximation_distances()
         self._set_distances(distances)
@@ -175,7 +176,7 @@ class Emitter:
         """Set `$BASE` and `$TOOL` before a target if they change there; both if a program is called before it."""
         base, tool = self.new_program.frames_of_target(target)
         # −1: a called program may have changed them
-        old_base, old_tool = (-1, -1) if target in self.call_rows else self.new_program.frames_of_target(target - 1)
+        old_base, old_tool = (-1, -1) if target in self.call_targets else self.new_program.frames_of_target(target - 1)
         if base != old_base:
             self.new_program.lines_before[target].append(f"$BASE={_frame_text(self.program.bases[base])}")
         if tool != old_tool:
@@ -202,7 +203,7 @@ class Emitter:
         :param rows: (n,) targets, ascending, such as all path targets.
         """
         # rows ascend: the first one at or behind each call
-        first_indices = np.searchsorted(rows, np.array(self.call_rows, dtype=np.int64))
+        first_indices = np.searchsorted(rows, np.array(self.call_targets, dtype=np.int64))
         return np.isin(np.arange(len(rows)), first_indices)
 
     def _set_distances(self, distances: Array) -> None:
@@ -251,7 +252,7 @@ class Emitter:
         numbers = self.targets.pose.xyzabc(rows)
         end = _aggregate_parts(numbers)  # the last part is the closing bracket
         spline = b"S" if self.cell.gcode.motions == "SLIN" else b""
-        is_blended = is_blended & (not spline or kind != PTP)
+        is_blended = is_blended & (not spline or kind != PTP)  # KRL approximates no PTP into spline motions
         tail: list[Part] = [text_in_rows(b" C_SPL" if spline else b" C_DIS", is_blended)]
         has_comment = self.has_force_comment[rows]
         if self.comment_forces is not None and has_comment.any():

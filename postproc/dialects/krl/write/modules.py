@@ -78,7 +78,8 @@ def divide_into_modules(
     output = emit(program, targets, cell, comment_forces)
     if not cell.output.divide_into_modules or output.size <= cell.output.program_memory_MB * _MB:
         return output
-    # written twice more: where modules begin depends on the sizes of the lines, and their beginnings need lines too
+    # `emit` keeps no emitter. Twice more: where modules begin depends on the sizes of the lines, and the program then
+    # needs exact stops and force comments there
     undivided = Emitter(program, targets, cell, comment_forces)
     module_starts = _module_starts(program, targets, cell, undivided, undivided.write())
     emitter = Emitter(program, targets, cell, comment_forces, module_starts)
@@ -146,6 +147,8 @@ def _size_error(program: Program, cell: Cell, first: int, last: int, size: float
 
 def _possible_ends(program: Program, cell: Cell) -> Ints:
     """Return the motions (n,) after which a module may end, ascending: the highest of each run of rapid moves.
+
+    A module is a piece of the program that is loaded and run by itself.
 
     It must end above everything that the program cuts. The last rapid move before a cut, which approaches the part, and
     motions to joint angles do not count.
@@ -279,7 +282,7 @@ class _Divider:
         preceding_count = [len(header), *output_line[starts - 1].tolist()]  # lines before the text of each module
         documents, lines, line_count = [], [], 0
         for index, (first, stop) in enumerate(pairwise((*self.first_targets, len(output_line)))):
-            top_lines = self.emitter.header_lines(self.names[index], self._order(index))
+            top_lines = self.emitter.header_lines(self.names[index], self._module_comment(index))
             top_lines += self._start_lines(first) if first > 0 else []
             bottom_lines = [*self._switch_off_lines(stop), "END"] if stop < len(output_line) else []
             module_text = document.text[offsets[index] : offsets[index + 1]]
@@ -289,15 +292,15 @@ class _Divider:
             lines.append(output_line[first:stop] - preceding_count[index] + len(top_lines) + line_count)
             line_count += text.count("\n")
         modules = Modules(tuple(documents), self.first_targets, np.concatenate(lines))
-        return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._issue(documents)))
+        return replace(self.undivided, modules=modules, issues=(*self.undivided.issues, self._modules_issue(documents)))
 
-    def _order(self, index: int) -> str:
-        """Return the comment that states the place of a module among the others."""
+    def _module_comment(self, index: int) -> str:
+        """Return the comment that states number and neighbours of a module: ``module 2 of 3, run after …``."""
         predecessor = f", run after {self.names[index - 1]}" if index else ""
         successor = f", next is {self.names[index + 1]}" if index + 1 < len(self.names) else ""
         return f"module {index + 1} of {len(self.names)}{predecessor}{successor}"
 
-    def _issue(self, documents: Sequence[Document]) -> Issue:
+    def _modules_issue(self, documents: Sequence[Document]) -> Issue:
         """Return the information that the program is written as several modules, with their sizes."""
         sizes = ", ".join(f"{document.name} ({len(document.text) / _MB:.2g} MB)" for document in documents)
         message = (

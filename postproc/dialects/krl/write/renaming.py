@@ -31,13 +31,15 @@ def rename(documents: Sequence[Document], name: str) -> tuple[Document, ...]:
 
 
 def _rename_divided(documents: Sequence[Document], name: str) -> Iterator[Document]:
-    """Yield the files of a divided program with another name; files of other programs are unchanged.
+    """Yield the files of a program in several files with another name; files of other programs are unchanged.
+
+    ``partMain.src``, ``part1.src`` … become ``newMain.src``, ``new1.src`` …
 
     GLOBAL names that begin with the name of the program change with it.
 
     :param documents: the main program first.
     """
-    old_base = PurePath(documents[0].name).stem[: -len(MAIN)]
+    old_base = PurePath(documents[0].name).stem[: -len(MAIN)]  # such as part of partMain
     new_base = name[: MAX_LENGTH - len(MAIN)]
     new_stems = {stem.upper(): f"{new_base}{stem[len(old_base) :]}" for stem in _stems_of_program(documents)}
     new_globals = _new_global_names(

@@ -122,6 +122,7 @@ class Sharing:
         :raises ProgramError: a shared variable has a type that other files do not know.
         """
         self._note_uses()
+        # a line that declares several names becomes GLOBAL as a whole
         local_names = _names_with_line_mates(
             self.main_variables.shared_names(includes_unwritten=True), self._names_by_line(self.main_declarations)
         )
@@ -158,17 +159,20 @@ class Sharing:
                 names = variables & names_in(self.source.text, start, stop)  # a fast first search
                 if not names or self._declares_type(line) or (routine is self.main and line in declaration_lines):
                     continue
+                # the exact search: no names in comments, strings, components and constants of ENUMs
                 names &= {item.name for item in occurrences(self.source.text, start, stop)}
                 written_names = self._written_names(line)
                 for name in names:
-                    owner = self._owning_variables(name, routine, data_names)
-                    if owner is not None:
-                        owner.users.setdefault(name, set()).add(int(self.file[line]))
+                    variable_group = self._owning_variables(name, routine, data_names)
+                    if variable_group is not None:
+                        variable_group.users.setdefault(name, set()).add(int(self.file[line]))
                         if name in written_names:
-                            owner.write_lines.setdefault(name, line)
+                            variable_group.write_lines.setdefault(name, line)
 
     def _owning_variables(self, name: str, routine: Routine, data_names: Collection[str]) -> _Variables | None:
-        """Return the table of the variable that a name means in a routine; None if the variable is never shared.
+        """Return the variables, of the main routine or of the `.dat`, among which is what a name means in a routine.
+
+        None if the variable is never shared.
 
         Local variables of subroutines, and constants and parameters of the main routine, are never shared.
         """

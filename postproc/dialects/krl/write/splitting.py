@@ -116,7 +116,7 @@ def split_files(
     :param resume_place: place, as text, of a RESUME in another file that returns to the program; empty without it.
     :raises ProgramError: the program is too long, and cannot be divided.
     """
-    if documents and joined_program(documents) is not None:
+    if documents and joined_program(documents) is not None:  # it was read from several files
         return _restore_files(documents, output, limit)
     # line feeds are counted fast; lines may also end with CR alone
     if not limit or (
@@ -129,7 +129,7 @@ def split_files(
 
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
-    """Return a program that was read from several files in these files; each line stays in its file.
+    """Return a program that was read from several files, joined to one text, in these files; lines stay in their file.
 
     A file that is longer than `limit` lines (0: no limit) gets a warning.
     """
@@ -154,7 +154,7 @@ def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit:
 
 
 class _File(Struct, frozen=True, eq=False):
-    """A file of a divided program.
+    """A file of a program that is divided into several.
 
     :param name: name without extension.
     :param pieces: new lines, with their line ends, and ranges of lines of the undivided program, in order.
@@ -247,7 +247,9 @@ class _Splitter:
                 yield head.name
 
     def _file_contents(self) -> list[_File]:
-        """Return the files in order: the main program, the parts that it calls, the files with routines.
+        """Return the files in order: the main program, the parts that it calls, files with routines.
+
+        Parts are the pieces of the main routine that become files of their own.
 
         Warnings about files that are too long are added to `issues`.
 
@@ -263,6 +265,7 @@ class _Splitter:
         self.issues += issues
         end = f"END{self.line_end}"
         bodies: list[tuple[str | range, ...]] = [(*declarations, range(*pair), end) for pair in pairwise(cuts)]
+        # a file with routines begins with an empty DEF of its own name
         bodies += [(end, *group) for group in self._pack_blocks(blocks, self.limit - len(header) - _FRAME_LINE_COUNT)]
         files = [self._main_file(blocks, cuts[0], len(cuts) - 1)]
         for number, body in enumerate(bodies, 1):
@@ -277,17 +280,23 @@ class _Splitter:
     def _main_file(self, blocks: Sequence[range], first_cut: int, part_count: int) -> _File:
         """Return the main program: its lines up to the first cut, a call of each part, and its END.
 
+        Parts are the pieces of the main routine that become files of their own.
+
         :param blocks: see `_routine_blocks`.
         :param first_cut: line at which the first part begins.
         :param part_count: number of parts.
         """
         first = min(routine.first for routine in (self.main, *self.subroutines))
         last = max(routine.last for routine in (self.main, *self.subroutines))
-        begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
+        # behind the last routine before the main routine, or at the first DEF
+        main_begin = max((block.stop for block in blocks if block.stop <= self.main.first), default=first)
         calls = [f"{self.base}{number}( ){self.line_end}" for number in range(1, part_count + 1)]
-        following_lines = range(last + 1, len(self.source.starts) + 1)
-        head = range(1, first), range(begin, first_cut)
-        return _File(f"{self.base}{MAIN}", (*head, *calls, _one_line(self.main.last), following_lines))
+        lines_behind_routines = range(last + 1, len(self.source.starts) + 1)
+        lines_before_parts = range(1, first), range(main_begin, first_cut)
+        return _File(
+            name=f"{self.base}{MAIN}",
+            pieces=(*lines_before_parts, *calls, _one_line(self.main.last), lines_behind_routines),
+        )
 
     def _routine_blocks(self) -> list[range]:
         """Return the lines of each routine except the main routine, each with the lines before it.

@@ -77,9 +77,9 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
     :param targets: K commanded targets.
     """
     motion = targets.motion
-    # of its motion
+    # the last target of each motion is written in its statement; the others are inserted lines
     is_last = np.append(motion[1:] != motion[:-1], True) if len(motion) else np.zeros(0, dtype=np.bool_)
-    keep = targets.keep & is_last
+    keep = targets.keep & is_last  # only a statement can keep its numbers
     exact_numbers = targets.pose.xyzabc(slice(None))
     exact_numbers[:, 3:] = _nearest_angles(exact_numbers[:, 3:], layout.numbers[motion, 3:])
     decimals = np.maximum(DECIMALS, np.minimum(_input_decimals(layout)[motion], MOST_DECIMALS))
@@ -103,13 +103,13 @@ def target_numbers(layout: Layout, targets: Targets) -> TargetNumbers:
 
 
 def _added_components(layout: Layout, motion: Ints, numbers: Array, is_free: Bools) -> Bools:
-    """Return whether a component (K, 6) is missing in the text and must be added.
+    """Return whether a component (K, 6) of a target is missing in the text of its motion and must be added.
 
     The controller takes a missing component from the target before; it must be added if this is another number.
 
     :param motion: (K,) motions of the targets.
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
-    :param is_free: (M,) see `TargetNumbers`.
+    :param is_free: (M,) True for motions that get ``$ORI_TYPE=#VAR``, so that their A, B, C count.
     """
     previous = np.concatenate([numbers[:1], numbers[:-1]])  # numbers of the target before
     is_first = np.append(True, motion[1:] != motion[:-1])[: len(motion)]  # of its motion; empty without targets
@@ -129,6 +129,8 @@ def _added_components(layout: Layout, motion: Ints, numbers: Array, is_free: Boo
 def _needs_free_orientation(layout: Layout, targets: Targets, numbers: Array, is_last: Bools) -> Bools:
     """Return whether a motion (M,) under another `$ORI_TYPE` than #VAR needs #VAR to reach its orientation.
 
+    Under #CONSTANT, #IGNORE and #JOINT the controller does not turn the tool to A, B, C as it does under #VAR.
+
     :param numbers: (K, 6) X, Y, Z [mm], A, B, C [deg] to be commanded.
     :param is_last: (K,) True for the last target of each motion.
     """
@@ -145,6 +147,8 @@ def _needs_free_orientation(layout: Layout, targets: Targets, numbers: Array, is
 
 def _loses_auxiliary_orientation(layout: Layout, start_differs: Bools, targets: Targets) -> Bools:
     """Return whether a motion (M,) is a corrected or divided circle whose auxiliary A, B, C must not count.
+
+    They are orientations along the circle as it was programmed.
 
     :param start_differs: (M,) True for motions that begin at another point than in the input.
     """

@@ -123,7 +123,7 @@ class TargetStatements:
         self.layout, self.targets, self.target_numbers = layout, targets, numbers
 
     def literal(self, motion: int) -> Literal | None:
-        """Return the literal of the end point of a motion in its statement.
+        """Return the literal of the end point of a motion: its numbers in the statement, such as ``{X 1,Y 2}``.
 
         None for relative motions, and if the statement has a name or a chain as its end point.
         """
@@ -162,7 +162,7 @@ class TargetStatements:
         return (start, stop), Literal(self.layout.source(motion).text, start, stop, number_spans)
 
     def number_texts(self, target: int, literal: Literal, *, includes_unchanged: bool = False) -> dict[str, str]:
-        """Return the numbers of a target that a literal must get: component → text.
+        """Return the numbers of a target that a literal, such as ``{X 1,Y 2}``, must get: component → text.
 
         :param includes_unchanged: False: for the literal of the motion itself, which needs the changed numbers. True:
             for a copy of the literal in another line, which needs all numbers.
@@ -183,7 +183,7 @@ class TargetStatements:
         return texts
 
     def _carriage_text(self, target: int, *, relative: bool = False) -> dict[str, str]:
-        """Return E1 at a target [mm]: ``"E1"`` → text; empty if the text of the motion needs no new E1.
+        """Return E1, the position of the linear axis at a target [mm]: ``"E1"`` → text; empty if no new E1 is needed.
 
         It needs none without a linear axis, if this axis does not move, and at the last target of an absolute motion.
 
@@ -340,7 +340,7 @@ class TargetStatements:
 
 
 def tail_text(source: Source, tail: Tail, *, is_free: bool, is_straightened: bool, ignores_auxiliary: bool) -> str:
-    """Return WITH and approximation of a spline motion, with changed settings.
+    """Return WITH and approximation (``WITH $ORI_TYPE=#VAR C_SPL``) of a spline motion, with changed settings.
 
     :param tail: WITH and approximation in the text of the file.
     :param is_free: True to set ``$ORI_TYPE=#VAR``.
@@ -349,7 +349,7 @@ def tail_text(source: Source, tail: Tail, *, is_free: bool, is_straightened: boo
     """
     text = source.text
     assignments = [assignment for assignment in tail.assignments if isinstance(assignment, Assignment)]
-    begin = text[tail.start : assignments[0].start] if assignments else " WITH "
+    begin = text[tail.start : assignments[0].start] if assignments else " WITH "  # text before the first setting
     settings: list[str] = []  # each, except the first, with the separator before it
     last = tail.start  # offset behind the last assignment
     for assignment in assignments:
