@@ -36,7 +36,7 @@ from postproc.jobs.programs import load_robot
 from postproc.jobs.started_program import read_with_start
 from postproc.machining import Process, ProcessForces, ProcessSource, Shift, identification
 from postproc.machining.identification import IdentifiedMaterial
-from postproc.machining.remaining import Guard, Part
+from postproc.machining.remaining import Guard, ToolPart
 from postproc.machining.stock import as_trimesh
 from postproc.machining.stock_mesh import MOST_FILE_CELLS, RemainingMesh
 from postproc.program import Bools, Program
@@ -305,7 +305,11 @@ def _guard(table: Collision) -> Guard:
     :param table: `[collision]` of the cell.
     """
     tool_cylinders = list(cylinders(table.holder))
-    parts = [Part(part.name, part.radius, part.begin) for part in tool_cylinders if not part.cuts]
+    parts = [
+        ToolPart(cylinder.name, cylinder.radius, bottom=cylinder.begin)
+        for cylinder in tool_cylinders
+        if not cylinder.cuts
+    ]
     cutter_diameter = next((2.0 * part.radius for part in tool_cylinders if part.cuts), None)
     return Guard(parts, table.clearance_mm * M_PER_MM, cutter_diameter)
 

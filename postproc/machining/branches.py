@@ -46,7 +46,7 @@ def check_branches(program: Program, cutting_rows: Ints, is_near: Bools) -> None
 def near_stock(segments: StraightSegments, bounds: tuple[float, ...], margin: float, count: int) -> Bools:
     """Return True for motions (count,) with a segment within `margin` of the stock in x and y, and below its top.
 
-    :param segments: segments of all motions, in the frame of the map of the stock.
+    :param segments: segments of all motions, in the frame of the height map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param margin: radius of the widest tool [m].
     :param count: number of motions of the program.

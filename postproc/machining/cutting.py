@@ -60,7 +60,7 @@ three quarters of a cell away there."""
 
 
 class EngagedEdge(Struct, frozen=True, eq=False):
-    """Engaged cutting edge at n stations, at the P points of a turn.
+    """Engaged cutting edge at n stations (places of the tip), at the P points of a turn of the tool.
 
     :param length: (n, P) length of edge in material [m].
     :param moment: (n, C) ∫ z dz over the edge in material at the C points on the cylinder, z above the tip [m²].
@@ -93,7 +93,7 @@ class Corners(Struct, frozen=True, eq=False):
 
 
 def cut_edge(stock: Stock, turn: Turn, x: Floats, y: Floats, position: Floats, layer: Floats) -> EngagedEdge:
-    """Return the cutting edge in material of a tool along z of the map, at n stations.
+    """Return the cutting edge in material of a tool along z of the height map, at n stations.
 
     :param turn: P sample points of the edge within a turn: first on the end face, then on the round, then on the
         cylinder.
@@ -176,7 +176,7 @@ def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
     Cells are in the order lower left, lower right, upper left, upper right (x to the right, y up). Points off the map
     get the cells at its edge.
 
-    :param x: (n, P) and `y` (n, P): coordinates in the frame of the map [m].
+    :param x: (n, P) and `y` (n, P): coordinates in the frame of the height map [m].
     """
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
@@ -200,7 +200,7 @@ def nearby_cells(stock: Stock, x: Floats, y: Floats) -> Corners:
 def _containing_cells(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
     """Return the index (n, P) in the flat map of the cell that contains each point; `x` and `y` (n, P) [m].
 
-    Points off the map get the cell at its edge.
+    Points off the height map get the cell at its edge.
     """
     rows, columns = stock.high.shape
     scale = np.float32(1.0 / stock.cell)
@@ -214,7 +214,7 @@ def _containing_cells(stock: Stock, x: Floats, y: Floats) -> NDArray[np.int32]:
 
 
 def _has_partly_cut_cells(stock: Stock, corners: Corners) -> bool:
-    """Return whether any row of the map that contains one of these cells has a partly cut cell."""
+    """Return whether any row of the height map that contains one of these cells has a partly cut cell."""
     lower_left = corners.cell[0]
     columns = stock.high.shape[1]
     # a flat index divided by the number of columns is a row; the upper cells are one row further
@@ -376,7 +376,7 @@ class Loads(Struct, frozen=True, eq=False):
 
     :param wrench: (n, 6) mean force [N] and moment about the tip [N·m] on the tool, in the axes above.
     :param deviation: (n, 6) its standard deviation by the covariance of the material, by the unknown rubbing of the end
-        face and thrust of the chisel edge of a drill, and by the cells of the map.
+        face and thrust of the chisel edge of a drill, and by the cells of the height map.
     :param cell_error_share: (n,) standard deviation of the force by the cells of the map, as a share of the force; 0
         for drills, whose hole has no open side.
     :param gentle_error_share: (n,) the part of that by surfaces that are neither steep nor walls: finer cells can
@@ -424,7 +424,7 @@ class Chips(Struct, frozen=True, eq=False):
 
 
 def chips(turn: Turn, feed: Floats, descent: Floats) -> Chips:
-    """Return the chips of a tool at n stations.
+    """Return the chips of a tool at n stations (places of the tip).
 
     The thickness is the component of the travel along the normal of the edge.
 
@@ -447,7 +447,7 @@ def mean_loads(
     :param engagement: lengths of edge in material.
     :param chip: chips of the pieces of edge, from `chips`.
     :param descent_sine: (n,) sine of the angle by which the feed goes down, 0 … 1.
-    :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
+    :param cell: width of a cell of the height map [m]; or (n,) the width that a cell has on the surface of the tool.
     :param cosine: (P,) or (n, P) cosine of the slope of the surface in the map that the piece of edge cuts.
     """
     rubbed_length = engagement.length * chip.share
@@ -500,7 +500,7 @@ def _wall_error_share(turn: Turn, length: Floats, cell: float | Array) -> Array:
     a thin layer is `WALL_ERROR` cells thicker or thinner. It is compared with the width of the whole cut.
 
     :param length: (n, P) length of edge that cuts [m]; on the cylinder that is the depth.
-    :param cell: width of a cell of the map [m]; or (n,) the width that a cell has on the surface of the tool.
+    :param cell: width of a cell of the height map [m]; or (n,) the width that a cell has on the surface of the tool.
     """
     if turn.drill:
         return np.zeros(len(length))

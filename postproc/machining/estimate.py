@@ -93,7 +93,7 @@ class ProcessForces(Struct, frozen=True, eq=False):
     :param tools: tool and spindle speed of each motion.
     :param drills: whether each of `tools.keys` is a drill.
     :param stock: the remaining stock, in the frame of `map_in_base`.
-    :param map_in_base: (4, 4) frame of the map of the stock in the `$BASE` of the stock, see `home_base`.
+    :param map_in_base: (4, 4) frame of the height map of the stock in the `$BASE` of the stock, see `home_base`.
     :param removed_volume: volume that the cuts remove [m³].
     :param issues: warnings and notes for the user.
     :param over_time: the stock over time, if it was swept with a guard.
@@ -230,7 +230,7 @@ class _Task(NamedTuple):
     progress: Callable[[int, int], None] | None
 
     def segments(self, frame: Array, cell: float) -> StraightSegments:
-        """Return the straight segments of all motions in the frame of a map.
+        """Return the straight segments of all motions in the frame of a height map.
 
         :param frame: (4, 4) in the `$BASE` of the stock, see `home_base`; `cell`: width of a cell [m].
         """
@@ -239,7 +239,7 @@ class _Task(NamedTuple):
         )
 
     def sweep(self, stock: Stock, frame: Array, cell_error_sums: CellErrors) -> Sweep:
-        """Return the sweep of the tools through a map of the stock, before any motion.
+        """Return the sweep of the tools through a height map of the stock, before any motion.
 
         :param stock: the map, which the sweep cuts in place.
         :param frame: (4, 4) of the map in the `$BASE` of the stock [m].
@@ -318,7 +318,7 @@ def _forces_up_to_tilt(task: _Task, max_tilt: float) -> ProcessForces:
 
     If the process states no width of cells, a second sweep has finer cells where the contact of the first one is thin.
 
-    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a height map [rad].
     :raises ForceError: see `estimate`.
     """
     coarse = _swept_program(task, max_tilt, {})
@@ -350,7 +350,7 @@ class _SweptProgram(NamedTuple):
 def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -> _SweptProgram:
     """Sweep the tools of a program through its stock, and refuse cuts whose force cannot be computed.
 
-    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a map [rad].
+    :param max_tilt: largest angle between a tool that turns while it cuts and the direction of a height map [rad].
     :param cell_factors: row of a motion → number by which the width of cells is divided from there on.
     :raises ForceError: no usable stock or no contact with it, an unknown force, or a branch that cuts, see `estimate`.
     """
@@ -436,7 +436,7 @@ def _motions_near_stock(
 
     These are all motions of a tool with several directions: it may touch the stock while its tip is next to it.
 
-    :param segments: segments of all motions, in the frame of the map; None: the tool has several directions.
+    :param segments: segments of all motions, in the frame of the height map; None: the tool has several directions.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param margin: radius of the widest tool [m].
     """
@@ -449,11 +449,13 @@ def _swept_setups(
 ) -> _SweptSetups:
     """Cut the stock by the motions of all set-ups, one after the other.
 
+    A set-up is a range of motions that share a height map of the stock, along one direction of the tool.
+
     :param material: the stock in the frame of the first set-up; it is cut in place.
     :param segments: straight segments of all motions in that frame.
     """
     program, count = task.program, len(task.program.motions)
-    start_volume, removed_volume, segment_count = material.volume(), 0.0, 0
+    start_volume, removed_volume, segment_count = material.volume(), 0.0, 0  # of the set-up; of those before it
     sweeps, cuts_of_setups, knots, issues = list[Sweep](), list[Cuts](), list[Knots](), list[Issue]()
     is_compared, cell_error_sums = np.zeros(count, dtype=bool), CellErrors(*np.zeros((4, count)))
     for number, setup in enumerate(ordered_setups):
@@ -488,7 +490,7 @@ def _swept_setups(
 
 
 def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
-    """Refuse cuts of tools that lean or turn if their force cannot be computed on a map of the stock.
+    """Refuse cuts of tools that lean or turn if their force cannot be computed on a height map of the stock.
 
     :raises ForceError: a tool turns in material with its tip at rest, at an unknown speed; or tools leave more
         material above themselves than `_OVERHANG_SHARE` of their cuts.
@@ -512,7 +514,7 @@ def _refuse_unknown_forces(program: Program, sweeps: list[Sweep]) -> None:
 
 
 def _stock_in_time(program: Program, setups: list[Setup], swept_setups: _SweptSetups) -> StockInTime:
-    """Return the stock over time of set-ups that were swept with a guard."""
+    """Return the stock over time of set-ups that were swept with a guard (parts of the tool that must stay clear)."""
     base = program.bases[home_base(program)]
     return StockInTime(
         first=tuple(int(np.argmax(setup.motions)) for setup in setups),
@@ -535,6 +537,8 @@ def _progress_of_part(
 
 def _needed_stations(sweep: Sweep, segments: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Sweep segments, and return the stations that their forces need, thinned out batch by batch to limit memory.
+
+    A station is a place of the tool on a cutting motion for which its force is computed.
 
     The last motion of a batch may continue in the next one: its stations are thinned with those of the next batch.
 
@@ -590,7 +594,9 @@ def _tap_issues(program: Program, cuts: Cuts, tools: ToolStates) -> Iterator[Iss
 
 
 def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> Stock:
-    """Return the remaining stock of one set-up as the map of the next: with finer cells, or along another direction.
+    """Return the remaining stock of one set-up as the height map of the next: finer, or along another direction.
+
+    A set-up is a range of motions that share a height map, along one direction of the tool.
 
     :param material: map of the stock at the end of `last_setup`.
     :param cell: width of a cell that is not divided [m].
@@ -604,7 +610,7 @@ def _next_map(material: Stock, last_setup: Setup, setup: Setup, cell: float) -> 
 
 
 def stock_map(process: Process, frame: Array, cell: float, path: Path | None) -> tuple[Stock, list[Issue]]:
-    """Return the map of the stock before the program, and warnings and notes about it.
+    """Return the height map of the stock before the program, and warnings and notes about it.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock; `cell`: width of a cell [m].
     :param path: mesh of the stock, instead of that of the process; None: that of the process.
@@ -665,9 +671,9 @@ def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: flo
 
     The limit of the gain is the lower of two: a share of the old map, and a share of what was cut (at least the noise).
 
-    :param gain: volume of the new map beyond that of the old one [m³].
+    :param gain: volume of the new height map beyond that of the old one [m³].
     :param removed_volume: volume that was removed before [m³].
-    :param remaining_volume: volume of the old map [m³].
+    :param remaining_volume: volume of the old height map [m³].
     """
     hidden_limit = max(_HIDDEN_SHARE * removed_volume, _NOISE_SHARE * remaining_volume)
     if gain <= min(_HOLLOW_SHARE * remaining_volume, hidden_limit):
@@ -681,7 +687,7 @@ def _hidden_cut_issues(gain: float, removed_volume: float, remaining_volume: flo
 
 
 def _hollow_stock_issues(map_volume: float, volume: float) -> list[Issue]:
-    """Return a warning if the map of a stock has more material than the stock.
+    """Return a warning if the height map of a stock has more material than the stock.
 
     :param map_volume: volume of the map, and `volume` of the stock [m³].
     """
@@ -824,7 +830,7 @@ def _chip_load_issues(program: Program, cuts: Cuts, tools: ToolStates, process: 
 def _coarse_contact_warnings(
     program: Program, tools: ToolStates, passes: list[ThinPasses], ordered_setups: list[Setup], stock: StockTable
 ) -> Iterator[Issue]:
-    """Yield a warning for each tool whose forces are uncertain because its contact is few cells of the map wide.
+    """Yield a warning for each tool whose forces are uncertain because its contact is few cells of the height map wide.
 
     :param passes: passes with such a contact; the worst of each tool is named.
     :param ordered_setups: set-ups in their order, which divide the width of cells.
@@ -847,7 +853,10 @@ def _coarse_contact_warnings(
 def _cutter_mismatch_issues(
     program: Program, tools: ToolStates, process: Process, guard: Guard | None
 ) -> Iterator[Issue]:
-    """Yield an error if the cutter of [collision] has another diameter than a tool that cuts; none without a guard."""
+    """Yield an error if the cutter of [collision] has another diameter than a tool that cuts.
+
+    :param guard: the tool of [collision]; None: collisions are not checked, and there is no error.
+    """
     if guard is None or guard.cutter is None:
         return
     tool_keys = [tools.keys[n] for n in distinct(tools.tool[~program.motions.rapid]).tolist()]
@@ -995,7 +1004,7 @@ def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list
 def _scale_issues(segments: StraightSegments, bounds: tuple[float, ...]) -> list[Issue]:
     """Return a warning if the path is many times as large as the stock in X and in Y: one of them may be in inches.
 
-    :param segments: segments of all motions, in the frame of the map.
+    :param segments: segments of all motions, in the frame of the height map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     """
     x_low, x_high, y_low, y_high, _ = bounds
@@ -1049,7 +1058,7 @@ def _beside_stock_issues(
 
     No warning is made for a robot program, whose moves at feed may also position. Heights do not count.
 
-    :param segments: segments of all motions, in the frame of the map of the stock.
+    :param segments: segments of all motions, in the frame of the height map of the stock.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param tool_radius: radius of the widest tool [m]: a run shorter than twice this radius does not count.
     """
@@ -1085,7 +1094,7 @@ def _no_contact_error(
 ) -> ForceError:
     """Return the error for a tool that never touches the stock, with the extents of both.
 
-    :param segments: segments of all motions, in the frame of the map.
+    :param segments: segments of all motions, in the frame of the height map.
     :param bounds: smallest and largest x, smallest and largest y, and top of the stock [m].
     :param stock: path of the mesh of the stock, for the message; None: the path of the process.
     """

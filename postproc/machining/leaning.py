@@ -27,7 +27,7 @@ _POSES_AT_ONCE = 128
 def depth_inside(stock: Stock, cutter: Cutter, tip: Array, axis: Array) -> float:
     """Return the largest depth of a tool in n poses below the surface of the stock [m]; 0 if none is in material.
 
-    :param tip: (n, 3) positions of the tip, frame of the map [m].
+    :param tip: (n, 3) positions of the tip, frame of the height map [m].
     :param axis: (n, 3) unit directions from the tip to the spindle, frame of the map.
     """
     depth = 0.0
@@ -84,7 +84,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     """Return circles about the axis, on the surface of the tool and near the stock.
 
     :param tip: (n, 3) positions of the tip [m], and `axis` (n, 3) unit directions to the spindle, frame of the map.
-    :param radius: radius of the tool less a cell of the map [m].
+    :param radius: radius of the tool less a cell of the height map [m].
     """
     x_low, x_high, y_low, y_high = stock.bounds
     low = np.array([x_low, y_low, float(stock.floor.min())]) - radius

@@ -34,6 +34,8 @@ this tolerance extend over the whole motion."""
 def thin_out(motion: Ints, wrench: Array) -> NDArray[np.int64]:
     """Return the rows (K,) of stations that are needed: between them the wrench is linear to within a tolerance.
 
+    A station is a place on a motion with its wrench.
+
     The first and the last station of each motion are kept. A motion with a constant wrench keeps one station. The
     tolerance is `_TOLERANCE_SHARE` of the largest force and moment of a motion, at least `_LEAST_TOLERANCE`.
 
@@ -112,7 +114,7 @@ def smooth_steps(
     At the start of a motion the force changes linearly from the force at the end of the motion before, or from zero
     after a rapid motion. At the end of the motion the force acts in full.
 
-    :param poses: the tool on the path, in the frame of the map of the stock.
+    :param poses: the tool on the path, in the frame of the height map of the stock.
     :param rise: (M,) length over which the force changes at the start of a motion [m].
     :param sigma: standard deviation of one unknown factor of all wrenches, as a share of them.
     :param axial_sigma: standard deviation of the axial force as a share of the force across the axis; 0 if axial
@@ -254,7 +256,7 @@ def _wrenches_at(motion: Ints, t: Array, wrench: Array, place_motion: Ints, plac
 
 
 def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
-    """Return the FEED axes (n, 3, 3) at places on motions, as columns in the frame of the map of the stock.
+    """Return the FEED axes (n, 3, 3) at places on motions, as columns in the frame of the height map of the stock.
 
     x is along the travel, square to z; z is the direction from the tip to the spindle, see `local_axes`.
 
@@ -268,7 +270,7 @@ def _feed_axes(poses: ToolPoses, motion: Ints, t: Array) -> tuple[Array, Bools]:
 
 
 def _map_axes_in_base(program: Program, motion: Ints, map_in_base: Array) -> Array:
-    """Return the axes of the map (n, 3, 3) as columns in the `$BASE` of motions.
+    """Return the axes of the height map (n, 3, 3) as columns in the `$BASE` of motions.
 
     :param motion: (n,) rows of `Motions`.
     :param map_in_base: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.

@@ -38,23 +38,23 @@ _LEVEL_STEP_SHARE = 0.5
 """Levels of a mesh are rounded up to multiples of this share of a coarse cell (assumed)."""
 
 
-class Part(Struct, frozen=True):
-    """A cylinder of the tool that does not cut.
+class ToolPart(Struct, frozen=True):
+    """A cylinder of the tool that does not cut: shank, holder or spindle. It extends upwards without limit.
 
     :param name: name in messages.
     :param radius: [m].
-    :param height: height of its lower end above the tip [m].
+    :param bottom: height of its lower end above the tip [m].
     """
 
     name: str
     radius: float
-    height: float
+    bottom: float
 
 
 def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
     """Return True for segments (L,) on which a body along z reaches into material; it extends upwards without limit.
 
-    A cell counts as a whole, up to its higher level, if the body covers any of it.
+    A cell of the height map counts as a whole, up to its higher level, if the body covers any of it.
 
     :param body: shape of the body, whose lower end has the form of a cutter.
     :param begin: (L, 3) lower end of the body where a segment begins, and `end` (L, 3) where it ends, frame of the map
@@ -79,14 +79,14 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
 
 
 class Ceiling:
-    """Upper bound of the stock in coarse cells, and the motions after which it is lower.
+    """Upper bound of the stock over time: its highest level in coarse cells, and the motions after which it is lower.
 
-    :ivar stock: map of the stock, which the sweep changes in place.
+    :ivar stock: height map of the stock, which the sweep changes in place.
     :ivar cell: width of a coarse cell [m].
     """
 
     def __init__(self, stock: Stock) -> None:
-        """Begin with a map of the uncut stock, which is kept and not copied."""
+        """Begin with a height map of the uncut stock, which is kept and not copied."""
         self.stock = stock
         self._factor = max(1, math.ceil(max(stock.high.shape) / MOST_SIDE_CELLS))  # fine cells along a coarse one
         self.cell = self._factor * stock.cell
@@ -97,7 +97,7 @@ class Ceiling:
     def _highest_material(self, rows: slice, columns: slice) -> Floats:
         """Return the highest level of material of coarse cells (ny, nx) [m]; −inf for cells without material.
 
-        :param rows: rows of the map, and `columns`: columns; both begin at the edge of a coarse cell.
+        :param rows: rows of the height map, and `columns`: columns; both begin at the edge of a coarse cell.
         """
         high, floor = self.stock.high[rows, columns], self.stock.floor[rows, columns]
         high = np.where(high > floor, high, -np.inf)
@@ -121,7 +121,7 @@ class Ceiling:
         return float(self._level[self._window(low, high)].max(initial=-np.inf))
 
     def record_removal(self, low: Array, high: Array, motion: int) -> None:
-        """Lower the bound after material in a box was removed from the map, and record the change.
+        """Lower the bound after material in a box was removed from the height map, and record the change.
 
         :param low: (3,) and `high` (3,): lower and upper corner of the box [m].
         :param motion: row of the motion at whose end the material is removed.
@@ -174,7 +174,7 @@ class StockInTime(Struct, frozen=True, eq=False):
     """The stock of a program over time, as an upper bound. Implements `forces.StockInTime`.
 
     :param first: first motion of each set-up, ascending.
-    :param frame: frame (4, 4) of the map of each set-up in the robot root.
+    :param frame: frame (4, 4) of the height map of each set-up in the robot root.
     :param ceiling: upper bound of the stock of each set-up.
     :param is_compared: (M,) motions on which the parts of the tool along its axis were compared with the stock.
     :param removes_material: (M,) motions that remove material.
@@ -269,7 +269,7 @@ class Guard(Struct, eq=False):
         they touch.
     """
 
-    parts: Sequence[Part]
+    parts: Sequence[ToolPart]
     min_distance: float
     cutter: float | None = None
     close_distances: dict[tuple[str, int], float] = field(default_factory=dict)
@@ -288,44 +288,57 @@ class Guard(Struct, eq=False):
         :param removes: whether the segments remove material.
         """
         begin, end = segments.begin[rows], segments.end[rows]
-        low, high = np.minimum(begin, end).min(axis=0), np.maximum(begin, end).max(axis=0)
-        for part in self.parts:
-            reach = part.radius + self.min_distance + ceiling.cell
+        low, high = np.minimum(begin, end).min(axis=0), np.maximum(begin, end).max(axis=0)  # box around all tips
+        for tool_part in self.parts:
+            reach = tool_part.radius + self.min_distance + ceiling.cell
             highest_level = ceiling.highest_level(low - reach, high + reach)
-            is_above_material = highest_level <= low[2] + part.height - self.min_distance
-            is_recorded = sum(name == part.name for name, _ in self.close_distances) >= _MOST_HITS
-            if is_above_material or is_recorded or self._is_in_sweep(part, cutter, ceiling.stock.cell):
+            is_above_material = highest_level <= low[2] + tool_part.bottom - self.min_distance
+            has_enough_hits = sum(name == tool_part.name for name, _ in self.close_distances) >= _MOST_HITS
+            if is_above_material or has_enough_hits or self._is_in_sweep(tool_part, cutter, ceiling.stock.cell):
                 continue
-            if touches(ceiling.stock, *self._swept_volume(part, begin, end, self.min_distance)).any():
-                self._compare_pieces(part, ceiling.stock, segments, rows, cutter, removes=removes)
+            if touches(ceiling.stock, *self._swept_volume(tool_part, begin, end, self.min_distance)).any():
+                self._compare_pieces(tool_part, ceiling.stock, segments, rows, cutter, removes=removes)
 
-    def _is_in_sweep(self, part: Part, cutter: Cutter, cell: float) -> bool:
-        """Return whether a part, with its clearance, is inside the volume that the cutter sweeps.
+    def _is_in_sweep(self, tool_part: ToolPart, cutter: Cutter, cell: float) -> bool:
+        """Return whether a part of the tool, with its clearance, is inside the volume that the cutter below it sweeps.
 
-        :param cell: width of a cell [m]: the part must be two cells inside of the cutter, as walls are located no
-            better.
+        Such a part, as a thin shank, cannot touch what the cutter leaves.
+
+        :param cell: width of a cell of the height map [m]. The part must be two cells inside of the cutter: the map
+            locates the walls that the cutter leaves in the stock no better.
         """
-        reach = part.radius + self.min_distance
+        reach = tool_part.radius + self.min_distance
         if reach > cutter.radius - 2.0 * cell:
             return False
-        return part.height - self.min_distance >= float(cutter.height(np.array([reach]))[0])
+        # heights above the tip: of the lower end of the part, and of the lower side of the cutter at this radius
+        return tool_part.bottom - self.min_distance >= float(cutter.height(np.array([reach]))[0])
 
-    def _swept_volume(self, part: Part, begin: Array, end: Array, clearance: float) -> _SweptVolume:
-        """Return all points within a clearance of a part as a body along z, and its path.
+    def _swept_volume(self, tool_part: ToolPart, begin: Array, end: Array, clearance: float) -> _SweptVolume:
+        """Return all points within a clearance of a part of the tool as a body along z, and the path of its lower end.
 
         :param clearance: [m], which also is the radius of the rounded lower edge of the body.
         :param begin: (L, 3) positions of the tip where segments begin, and `end` (L, 3) where they end [m].
         """
-        offset = np.array([0.0, 0.0, part.height - clearance])  # from the tip to the lower end
-        return _SweptVolume(Cutter(part.radius + clearance, clearance, 1), begin + offset, end + offset)
+        tip_to_bottom = np.array([0.0, 0.0, tool_part.bottom - clearance])
+        body = Cutter(radius=tool_part.radius + clearance, corner=clearance, teeth=1)  # its teeth do not matter
+        return _SweptVolume(body, begin + tip_to_bottom, end + tip_to_bottom)
 
     def _compare_pieces(
-        self, part: Part, stock: Stock, segments: StraightSegments, rows: slice, cutter: Cutter, *, removes: bool
+        self,
+        tool_part: ToolPart,
+        stock: Stock,
+        segments: StraightSegments,
+        rows: slice,
+        cutter: Cutter,
+        *,
+        removes: bool,
     ) -> None:
-        """Compare a part with the stock piece by piece, removing the material of each piece from a copy of the map.
+        """Compare a part of the tool with the stock along short pieces of segments, in order.
 
-        Where the segments continue others, the material under the front of the cutter is still in the map, as the
-        sweep removes it later: it is removed from the copy first.
+        The material of each piece is removed from a copy of the height map before the next one is compared.
+
+        Where the segments continue others, the material under the front of the cutter (the half that faces the travel)
+        is still in the map, as the sweep removes it later: it is removed from the copy first.
 
         :param stock: before the material of the segments is removed.
         :param rows: rows of the segments that are compared.
@@ -333,37 +346,39 @@ class Guard(Struct, eq=False):
         :param removes: whether the segments remove material.
         """
         begin, end, motion = segments.begin[rows], segments.end[rows], segments.motion[rows]
-        reach = max(part.radius + self.min_distance, cutter.radius) + 3.0 * stock.cell
+        reach = max(tool_part.radius + self.min_distance, cutter.radius) + 3.0 * stock.cell
         remaining_stock = _copied_part(
             stock, np.minimum(begin, end).min(axis=0) - reach, np.maximum(begin, end).max(axis=0) + reach
         )
         if segments.continues[rows.start]:
             remove(remaining_stock, cutter, begin[:1], begin[:1])  # the cutter at rest where they begin
-        step = max(stock.cell, 0.5 * (part.height - self.min_distance))
+        # pieces so short that even on a plunge the part stays above what the cutter removes in the same piece
+        step = max(stock.cell, 0.5 * (tool_part.bottom - self.min_distance))
         for start, stop, row_motion in zip(begin, end, motion.tolist(), strict=True):
             if not removes:
-                self._record_distance(part, remaining_stock, row_motion, (start[None], stop[None]))
+                self._record_distance(tool_part, remaining_stock, row_motion, (start[None], stop[None]))
                 continue
             for piece_begin, piece_end in _segment_pieces(start, stop, step):
-                if touches(remaining_stock, *self._swept_volume(part, piece_begin, piece_end, self.min_distance))[0]:
+                volume = self._swept_volume(tool_part, piece_begin, piece_end, self.min_distance)
+                if touches(remaining_stock, *volume)[0]:
                     for short_piece in _segment_pieces(piece_begin[0], piece_end[0], stock.cell):
-                        self._record_distance(part, remaining_stock, row_motion, short_piece)
+                        self._record_distance(tool_part, remaining_stock, row_motion, short_piece)
                         remove(remaining_stock, cutter, *short_piece)
                 else:
                     remove(remaining_stock, cutter, piece_begin, piece_end)
 
-    def _record_distance(self, part: Part, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
-        """Record the distance of a part from the stock on a segment, if it is below the allowed one.
+    def _record_distance(self, tool_part: ToolPart, stock: Stock, motion: int, segment: tuple[Array, Array]) -> None:
+        """Record the distance of a part of the tool from the stock on a segment, if it is below the allowed one.
 
         The smallest distance of each part on each motion is kept, in `close_distances`.
 
         :param motion: row of `Motions`; `segment`: positions of the tip at both ends, (1, 3) each [m].
         """
-        key = part.name, motion
+        key = tool_part.name, motion
 
         def has_contact(clearance: float) -> bool:
             """Return whether the part, enlarged by a clearance [m], touches the stock on the segment."""
-            return bool(touches(stock, *self._swept_volume(part, *segment, clearance))[0])
+            return bool(touches(stock, *self._swept_volume(tool_part, *segment, clearance))[0])
 
         # bisection: the part with a larger clearance touches wherever that with a smaller one does
         low, high = 0.0, self.close_distances.get(key, self.min_distance)
@@ -386,7 +401,7 @@ def _segment_pieces(begin: Array, end: Array, step: float) -> Iterator[tuple[Arr
 
 
 def _copied_part(stock: Stock, low: Array, high: Array) -> Stock:
-    """Return a copy of the part of the map between the corners `low` (3,) and `high` (3,) of a box [m]."""
+    """Return a copy of the part of the height map between the corners `low` (3,) and `high` (3,) of a box [m]."""
     origin = np.array([stock.x, stock.y])
     first_cell = np.floor((low[:2] - origin) / stock.cell).astype(int).clip(0)
     end_cell = np.ceil((high[:2] - origin) / stock.cell).astype(int).clip(0) + 1

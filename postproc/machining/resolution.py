@@ -34,7 +34,9 @@ _MOST_FINE_CELLS = 12_000_000
 
 
 class ThinPasses(Struct, frozen=True):
-    """Passes of a tool whose contact is few cells wide.
+    """Passes of a tool whose contact with the stock is few cells of its height map wide.
+
+    A pass is a run of cutting motions between two rapid ones.
 
     :param first: row of their first motion.
     :param tool: index in `ToolStates.keys`.
@@ -53,7 +55,7 @@ class ThinPasses(Struct, frozen=True):
 class CellErrors(NamedTuple):
     """Squares of forces at n stations, or their sums over the stations of M motions [N²].
 
-    :param error: of the standard deviation by the cells of the map.
+    :param error: of the standard deviation by the cells of the height map.
     :param gentle_error: of the part of it by surfaces that are not steep.
     :param accepted: of the standard deviation by the cells that is accepted.
     :param force: of the force.
@@ -81,7 +83,7 @@ class CellErrors(NamedTuple):
 
 
 def thin_passes(program: Program, tools: ToolStates, sums: CellErrors) -> list[ThinPasses]:
-    """Return the passes that need finer cells: for each operation and tool the first one, if any, in order.
+    """Return the passes that need finer cells of the height map: the first one of each operation and tool, in order.
 
     From that pass to the end of the operation the map has finer cells. A pass is a run of cutting motions between two
     rapid ones.
@@ -129,7 +131,7 @@ def cell_divisors(passes: list[ThinPasses], cell_count: int, setup_begins: list[
 
     :param passes: passes whose contact is few cells wide.
     :param setup_begins: first motions of the set-ups, ascending; for steep surfaces cells are fine from there on.
-    :param cell_count: number of cells of the map; divided maps have at most `_MOST_FINE_CELLS`.
+    :param cell_count: number of cells of the height map; divided maps have at most `_MOST_FINE_CELLS`.
     """
     max_factor = int(np.sqrt(_MOST_FINE_CELLS / cell_count))
     # the deviation falls with the width of a cell; a tenth more than enough is accepted

@@ -15,7 +15,7 @@ _CONE_STEPS = 60
 
 
 class Setup(Struct, frozen=True, eq=False):
-    """Motions with one map of the stock.
+    """Motions with one height map of the stock.
 
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock (`home_base`): z from the tip to the spindle.
     :param motions: (M,) True for the motions of the set-up.
@@ -28,7 +28,7 @@ class Setup(Struct, frozen=True, eq=False):
 
 
 def setups(program: Program, directions: Directions, max_tilt: float) -> list[Setup]:
-    """Return the set-ups of a program in order: each has a map of the stock along one direction of the tool.
+    """Return the set-ups of a program in order: each has a height map of the stock along one direction of the tool.
 
     A set-up begins where a run of cuts has another direction of the tool. In a run in which the tool turns, one begins
     where the tool leaves a cone of half angle `max_tilt` about the direction of the map. Rapid motions belong to the
@@ -78,7 +78,9 @@ def _first_row_outside(directions: Directions, begin: int, end: int, map_directi
 
 
 def divide_by_cells(ordered_setups: list[Setup], cell_factors: dict[int, int], cuts: Bools) -> list[Setup]:
-    """Return set-ups divided where the cells of their map become finer; a part without cuts joins the next part.
+    """Return set-ups divided where the cells of their height map become finer; a part without cuts joins the next.
+
+    A set-up is a range of motions that share a height map of the stock.
 
     :param cell_factors: row of a motion → whole number by which the width of cells is divided from there to the end of
         its set-up; a later smaller number has no effect.
@@ -126,7 +128,7 @@ def _cone_axis(program: Program, directions: Directions, begin: int, max_tilt: f
 
 
 def _frame(direction: Array) -> Array:
-    """Return the frame of the map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle.
+    """Return the frame of the height map (4, 4) in `$BASE` whose z is a direction (3,) from the tip to the spindle.
 
     Its origin is that of `$BASE`; for z of `$BASE` the frame is `$BASE` itself.
     """

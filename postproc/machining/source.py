@@ -46,7 +46,7 @@ def operation_knots(program: Program, process: Process) -> Knots:
     """
     refuse_unread_cuts(program)
     entry_of_motion, entry_by_comment = _entries_of_motions(program, process)
-    motion = np.flatnonzero((entry_of_motion >= 0) & ~program.motions.rapid)
+    motion = np.flatnonzero((entry_of_motion != _NO_ENTRY) & ~program.motions.rapid)
     entries = list(process.operations.values())
     # wrench, frame and relative standard deviation of each entry; `rows` is the entry of each cutting motion
     wrench = np.array([_wrench_of_entry(entry) for entry in entries]).reshape(-1, 6)
@@ -62,37 +62,44 @@ def operation_knots(program: Program, process: Process) -> Knots:
 def _entries_of_motions(program: Program, process: Process) -> tuple[Ints, Ints]:
     """Return the entry of [operations] of each motion (M,), and the entry (M,) that a comment or block names for it.
 
-    Entries are numbered in the order of the file; −1: none. The first result is the second, else the entry of the tool.
+    Entries are numbered in the order of the file; `_NO_ENTRY`: none. The first result is the second, else the entry of
+    the tool.
 
     :raises ForceError: an entry matches nothing in the program.
     """
     names, program_operations = list(process.operations), operations(program, at_retracts=True)
-    # T number, digits of an N word, or text of a comment → number of its entry
+    # T number, digits of an N word, or text of a comment → number of its entry in [operations]
     tools = {int(match[1]): k for k, name in enumerate(names) if (match := _TOOL.fullmatch(name.strip()))}
     blocks = {match[1]: k for k, name in enumerate(names) if (match := _BLOCK.fullmatch(name.strip()))}
     titles = {_normal_text(name): k for k, name in enumerate(names) if k not in {*tools.values(), *blocks.values()}}
-    changes = [event for event in program.events if event.kind == "tool_change"]
-    tool_marks = [_Mark(event.before, _CHANGE_RANK, tools.get(int(event.value), -1)) for event in changes]
-    name_marks = _named_marks(program, program_operations, titles, blocks)
-    named_entry = _last_entry(name_marks, len(program.motions))
-    entry_of_motion = np.where(named_entry >= 0, named_entry, _last_entry(tool_marks, len(program.motions)))
-    used_entries = {mark.entry for mark in [*tool_marks, *name_marks]}
+    tool_changes = [event for event in program.events if event.kind == "tool_change"]
+    tool_entry_changes = [
+        _EntryChange(event.before, _CHANGE_RANK, tools.get(int(event.value), _NO_ENTRY)) for event in tool_changes
+    ]
+    named_entry_changes = _named_changes(program, program_operations, titles, blocks)
+    named_entry = _last_entry(named_entry_changes, len(program.motions))
+    entry_of_motion = np.where(
+        named_entry != _NO_ENTRY, named_entry, _last_entry(tool_entry_changes, len(program.motions))
+    )
+    used_entries = {change.entry for change in [*tool_entry_changes, *named_entry_changes]}
     unused = [name for k, name in enumerate(names) if k not in used_entries]
     if unused:
         raise combined_error(_unmatched_error(program, process, name, program_operations) for name in unused)
     return entry_of_motion, named_entry
 
 
+_NO_ENTRY = -1
+"""No entry of [operations] gives the force."""
 _CHANGE_RANK, _OPERATION_RANK, _COMMENT_RANK, _N_WORD_RANK = range(4)
-"""Ranks of marks at one motion, lowest first: tool change or end, operation, comment that names an entry, N word."""
+"""Ranks of changes at one motion, lowest first: tool change or end, operation, comment that names an entry, N word."""
 
 
-class _Mark(NamedTuple):
+class _EntryChange(NamedTuple):
     """The motion at which the force of an entry of [operations] begins, or at which forces end.
 
     :param row: row of the first motion with this force, or without a force.
-    :param rank: among marks of one row, the mark with the highest rank counts.
-    :param entry: number of the entry whose force begins; −1: forces end.
+    :param rank: among changes at one row, the one with the highest rank counts.
+    :param entry: number of the entry whose force begins; `_NO_ENTRY`: forces end.
     """
 
     row: int
@@ -100,24 +107,24 @@ class _Mark(NamedTuple):
     entry: int
 
 
-def _named_marks(
+def _named_changes(
     program: Program, program_operations: tuple[Operation, ...], titles: dict[str, int], blocks: dict[str, int]
-) -> list[_Mark]:
-    """Return the marks of entries that a comment or an N word names: of operations, of comments and of blocks.
+) -> list[_EntryChange]:
+    """Return where forces of entries that a comment or an N word names begin, and where forces end.
 
     :param titles: normal text of a comment → number of its entry.
     :param blocks: digits of an N word → number of its entry.
     """
-    operation_marks = [
-        # −1: no entry has the name of the operation, so that forces end where it begins
-        _Mark(operation.first, _OPERATION_RANK, titles.get(_normal_text(operation.name), -1))
+    operation_changes = [
+        # if no entry has the name of the operation, forces end where it begins
+        _EntryChange(operation.first, _OPERATION_RANK, titles.get(_normal_text(operation.name), _NO_ENTRY))
         for operation in program_operations
     ]
-    return [*operation_marks, *_comment_marks(program, titles), *_block_marks(program, blocks)]
+    return [*operation_changes, *_comment_changes(program, titles), *_block_changes(program, blocks)]
 
 
-def _comment_marks(program: Program, titles: dict[str, int]) -> Iterator[_Mark]:
-    """Yield the marks where an entry that a comment names begins, and where tool changes and finishing comments end it.
+def _comment_changes(program: Program, titles: dict[str, int]) -> Iterator[_EntryChange]:
+    """Yield where an entry that a comment names begins, and where tool changes and finishing comments end it.
 
     The first tool change after the comment belongs to the operation that the comment names. A later change to another
     tool ends the entry, and so does any change after a cut.
@@ -125,28 +132,29 @@ def _comment_marks(program: Program, titles: dict[str, int]) -> Iterator[_Mark]:
     :param titles: normal text of a comment → number of its entry.
     """
     cut_count = _cut_counts(program)
-    entry_row, running_entry = 0, -1  # row and entry of the last comment that names one
+    entry_row, running_entry = 0, _NO_ENTRY  # row and entry of the last comment that names one
     new_tool: float | None = None  # number of the tool that was changed to since then
     for event in _events_with_tool_changes(program):
         if event.kind == "tool_change":
             if cut_count[event.before] > cut_count[entry_row] or new_tool not in (None, event.value):
                 # a change at the motion of the comment that named the entry ends what this comment began
-                ends_comment = running_entry >= 0 and entry_row == event.before
-                yield _Mark(event.before, _COMMENT_RANK if ends_comment else _CHANGE_RANK, -1)
-                running_entry = -1
+                ends_comment = running_entry != _NO_ENTRY and entry_row == event.before
+                yield _EntryChange(event.before, _COMMENT_RANK if ends_comment else _CHANGE_RANK, _NO_ENTRY)
+                running_entry = _NO_ENTRY
             new_tool = event.value
         elif event.kind == "comment":
-            entry = titles.get(_normal_text(title(event.text)), titles.get(_normal_text(event.text), -1))
+            entry = titles.get(_normal_text(title(event.text)), titles.get(_normal_text(event.text), _NO_ENTRY))
             end_title = finished_operation(event.text)
-            if entry >= 0:
-                yield _Mark(event.before, _COMMENT_RANK, entry)
+            is_running = running_entry != _NO_ENTRY
+            if entry != _NO_ENTRY:
+                yield _EntryChange(event.before, _COMMENT_RANK, entry)
                 entry_row, running_entry, new_tool = event.before, entry, None
-            elif end_title is not None and running_entry >= 0 and titles.get(_normal_text(end_title)) == running_entry:
-                yield _Mark(event.before, _CHANGE_RANK, -1)
+            elif end_title is not None and is_running and titles.get(_normal_text(end_title)) == running_entry:
+                yield _EntryChange(event.before, _CHANGE_RANK, _NO_ENTRY)
 
 
-def _block_marks(program: Program, blocks: dict[str, int]) -> Iterator[_Mark]:
-    """Yield the marks where an entry that an N word names begins: at each motion by which the program reaches its line.
+def _block_changes(program: Program, blocks: dict[str, int]) -> Iterator[_EntryChange]:
+    """Yield where an entry that an N word names begins: at each motion by which the program reaches its line.
 
     :param blocks: digits of an N word → number of its entry.
     """
@@ -157,7 +165,7 @@ def _block_marks(program: Program, blocks: dict[str, int]) -> Iterator[_Mark]:
             # motions of this line or a later one that follow a motion of an earlier line
             begins = (line >= number) & (np.concatenate([[0], line[:-1]]) < number)
             for row in np.flatnonzero(begins).tolist():
-                yield _Mark(row, _N_WORD_RANK, blocks[match[1]])
+                yield _EntryChange(row, _N_WORD_RANK, blocks[match[1]])
 
 
 def _events_with_tool_changes(program: Program) -> list[Event]:
@@ -184,7 +192,7 @@ def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str
     Such a comment is alone on its line after a retract, but `postproc.operations` takes it for a remark, like "pass 2".
     Or it is between two cutting motions.
 
-    :param named_entry: (M,) entry that a comment or a block names for each motion, −1: none.
+    :param named_entry: (M,) entry that a comment or a block names for each motion; `_NO_ENTRY`: none.
     :param names: names of the entries, in their order.
     """
     cutting = np.flatnonzero(~program.motions.rapid)
@@ -193,7 +201,7 @@ def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str
         next_cut = int(cut_count[comment.before])  # index in `cutting` of the first cut after the comment
         if 0 < next_cut < len(cutting):
             last_entry, next_entry = named_entry[cutting[next_cut - 1]], named_entry[cutting[next_cut]]
-            if last_entry == next_entry >= 0:
+            if last_entry == next_entry != _NO_ENTRY:
                 comments_by_entry.setdefault(int(last_entry), []).append(comment)
     for entry, comments in comments_by_entry.items():
         comment_text = ", ".join(
@@ -207,16 +215,16 @@ def _ignored_comment_issues(program: Program, named_entry: Ints, names: list[str
         yield Issue("info", "operation-goes-on", message, comments[0].line, count=len(comments), subject=names[entry])
 
 
-def _last_entry(marks: list[_Mark], count: int) -> Ints:
-    """Return the entry (count,) of the last mark at or before each motion, −1 before the first mark.
+def _last_entry(changes: list[_EntryChange], count: int) -> Ints:
+    """Return the entry (count,) of the last change at or before each motion; `_NO_ENTRY` before the first change.
 
-    :param marks: in any order. Of marks at the same motion the highest rank counts; of equal ranks, the last mark.
+    :param changes: in any order. Of changes at one motion the highest rank counts; of equal ranks, the last one.
     :param count: number of motions.
     """
-    before_all = _Mark(-1, _CHANGE_RANK, -1)
-    ordered_marks = [before_all, *sorted(marks, key=lambda mark: (mark.row, mark.rank))]
-    last_mark = np.searchsorted([mark.row for mark in ordered_marks], np.arange(count), side="right") - 1
-    return np.array([mark.entry for mark in ordered_marks], dtype=np.int64)[last_mark]
+    before_all = _EntryChange(-1, _CHANGE_RANK, _NO_ENTRY)
+    ordered_changes = [before_all, *sorted(changes, key=lambda change: (change.row, change.rank))]
+    last_change = np.searchsorted([change.row for change in ordered_changes], np.arange(count), side="right") - 1
+    return np.array([change.entry for change in ordered_changes], dtype=np.int64)[last_change]
 
 
 def _unmatched_error(

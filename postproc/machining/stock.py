@@ -43,7 +43,7 @@ MOST_PAIRS = 4_000_000
 
 
 class MapBounds(NamedTuple):
-    """The outer edges of a map [m]."""
+    """The outer edges of a height map [m]."""
 
     x_low: float
     x_high: float
@@ -52,7 +52,7 @@ class MapBounds(NamedTuple):
 
 
 class Stock(Struct, frozen=True, eq=False):
-    """Material between `floor` and the levels of its cells. Metres, in the frame of the map: z along the tool.
+    """Material between `floor` and the levels of its cells. Metres, in the frame of the height map: z along the tool.
 
     :param x: smallest x of the map, the edge of the first column.
     :param y: smallest y of the map, the edge of the first row.
@@ -94,13 +94,13 @@ class Stock(Struct, frozen=True, eq=False):
 
     @property
     def bounds(self) -> MapBounds:
-        """The outer edges of the map."""
+        """The outer edges of the height map."""
         rows, columns = self.high.shape
         return MapBounds(self.x, self.x + columns * self.cell, self.y, self.y + rows * self.cell)
 
     @property
     def material_bounds(self) -> MapBounds:
-        """The outer edges of the cells with material; those of the map if there are none."""
+        """The outer edges of the cells with material; those of the height map if there are none."""
         is_solid = self.high > self.floor
         columns, rows = np.flatnonzero(is_solid.any(axis=0)), np.flatnonzero(is_solid.any(axis=1))
         if not len(columns):
@@ -114,7 +114,7 @@ class Stock(Struct, frozen=True, eq=False):
 
 
 def refine(stock: Stock, factor: int) -> Stock:
-    """Return a map whose cells are narrower by a whole factor.
+    """Return a height map whose cells are narrower by a whole factor.
 
     Surfaces with slopes are interpolated. A partly cut cell is divided into cells with the same two levels and shares.
     """
@@ -204,7 +204,7 @@ def zero_slopes(high: Floats) -> NDArray[np.int16]:
 
 
 class _MapExtent(NamedTuple):
-    """The cells of a map.
+    """The cells of a height map.
 
     :param x: smallest x of the map [m].
     :param y: smallest y [m].
@@ -219,7 +219,7 @@ class _MapExtent(NamedTuple):
 
 
 def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExtent:
-    """Return the cells of a map around a box, with a border.
+    """Return the cells of a height map around a box, with a border.
 
     :param lower: (3,) and `upper` (3,): corners of a box around the stock, frame of the map [m].
     :param cell: width of a cell [m].
@@ -238,7 +238,7 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 
 
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
-    """Return the map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
+    """Return the height map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
 
     Cells that the box covers in part have the height of the box on the covered share of their area, and no material on
     the rest.
@@ -261,7 +261,7 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
-    """Return the map of a closed mesh: material from the lowest to the highest surface of each column.
+    """Return the height map of a closed mesh: material from the lowest to the highest surface of each column.
 
     Each cell is divided into `_SUBDIVISION` × `_SUBDIVISION` squares, to find the share of it that the mesh covers and
     the mean heights.
@@ -335,7 +335,7 @@ def _divided_at_walls(upper: Array, is_solid: Bools, cell: float) -> tuple[Array
 
     :param upper: (ny · s, nx · s) heights of the surface in the s × s squares of each cell [m].
     :param is_solid: (ny · s, nx · s) True for squares with material.
-    :param cell: width of a cell [m].
+    :param cell: width of a cell of the height map [m].
     """
     blocks = (upper.shape[0] // _SUBDIVISION, _SUBDIVISION, upper.shape[1] // _SUBDIVISION, _SUBDIVISION)
     squares = upper.reshape(blocks)
@@ -358,7 +358,7 @@ def _surfaces_of_columns(
 ) -> tuple[Array, Array]:
     """Return the highest and the lowest height of a mesh over a grid, (ny, nx) each [m]; −inf and inf beside the mesh.
 
-    :param vertices: (V, 3) of the mesh [m], in the frame of the map, and `faces` (F, 3).
+    :param vertices: (V, 3) of the mesh [m], in the frame of the height map, and `faces` (F, 3).
     :param origin: x, y of the corner of the grid [m]; its points are in the middles of squares of a width `step` [m].
     :param count: number of points along x and y.
     """
@@ -432,12 +432,12 @@ MOST_CELLS_AT_ONCE = 200_000
 
 
 class Footprint(Struct, frozen=True, eq=False):
-    """Cells under some segments, one row for each cell and segment.
+    """Cells of the height map under some segments of the path, one row for each cell and segment.
 
-    :param cell: (n,) index in the flat map of cells that the tool covers fully.
+    :param cell: (n,) index, row by row of the map, of cells that the tool covers fully.
     :param level: (n,) lower side of the tool in these cells [m].
     :param segment: (n,) row of the segment in `path`.
-    :param rim: (r,) index in the flat map of cells that the cylinder of the tool covers partly.
+    :param rim: (r,) index, row by row of the map, of cells that the cylinder of the tool covers partly.
     :param coverage: (r,) share of these cells that it covers, 0 … 1.
     :param rim_level: (r,) lower side of the tool in these cells [m].
     :param path: tool, and begins (L, 3) and ends (L, 3) of segments [m]; None: the surface has no known slope.
@@ -470,7 +470,8 @@ class Footprint(Struct, frozen=True, eq=False):
     def selected(self, cells: Bools, rims: Bools) -> Footprint:
         """Return the footprint of selected cells only.
 
-        :param cells: (n,) True for the selected cells that the tool covers fully, and `rims` (r,) for those of the rim.
+        :param cells: (n,) True for the selected cells that the tool covers fully.
+        :param rims: (r,) True for the selected cells of the rim, which it covers partly.
         """
         return Footprint(
             self.cell[cells], self.level[cells], self.segment[cells], self.rim[rims], self.coverage[rims],
@@ -491,7 +492,9 @@ class Footprint(Struct, frozen=True, eq=False):
         return self.selected(~is_covered, ~(np.isin(self.rim, cell) | np.isin(self.rim, cover.rim)))
 
     def outside_circle(self, stock: Stock, point: Array, radius: float) -> Footprint:
-        """Return the footprint without cells whose middles are within a circle, seen along z; all of the rim remains.
+        """Return the footprint without cells whose middles are within a circle, seen along z.
+
+        Cells of the rim, which the tool covers partly, all remain.
 
         :param stock: map of the cells.
         :param point: (3,) middle of the circle [m].
@@ -566,7 +569,7 @@ def _slopes(stock: Stock, footprint: Footprint, rows: Ints) -> NDArray[np.int16]
 def _is_under_front(stock: Stock, cutter: Cutter, cell: Ints, point: Array, direction: Array, *, rim: bool) -> Bools:
     """Return True for cells (n,) under the front of a tool: there its surface moves outwards, into the material.
 
-    :param cell: (n,) index in the flat map.
+    :param cell: (n,) index in the height map, row by row.
     :param point: (3,) position of the tip [m]; `direction` (3,) unit direction of its travel.
     :param rim: True: the cells are those that the cylinder covers in part; False: those under the end of the tool.
     """
@@ -589,7 +592,7 @@ def _is_under_front(stock: Stock, cutter: Cutter, cell: Ints, point: Array, dire
 def depth_of_cut(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> float:
     """Return the largest depth of cut [m] as the tip moves from `begin` (L, 3) to `end` (L, 3) [m].
 
-    Only cells that the tool covers fully count: walls are not located better than that.
+    Only cells that the tool covers fully count: a height map locates walls no better than a cell.
     """
     high, floor, deepest = stock.high.reshape(-1), stock.floor.reshape(-1), 0.0
     for footprint in _footprints(stock, cutter, begin, end):
@@ -610,7 +613,7 @@ def _footprints(stock: Stock, cutter: Cutter, begin: Array, end: Array) -> Itera
 
 
 class SegmentWindows(NamedTuple):
-    """Rectangular windows of a map around k segments, all of one size.
+    """Rectangular windows of a height map around k segments, all of one size.
 
     :param rows: (k,) rows of the segments.
     :param corner: (k, 2) column and row of the first cell of each window.
@@ -623,7 +626,7 @@ class SegmentWindows(NamedTuple):
 
 
 def windows(stock: Stock, reach: float, begin: Array, end: Array) -> Iterator[SegmentWindows]:
-    """Yield rectangular windows of the map around segments, in batches of segments, small windows first.
+    """Yield rectangular windows of the height map around segments, in batches of segments, small windows first.
 
     All windows of a batch have the size of its largest, so that arrays hold them. The number of cells of a batch is
     limited. Segments without a cell of the map in their window are omitted.
@@ -657,7 +660,7 @@ def _footprint(stock: Stock, cutter: Cutter, begin: Array, end: Array, batch: Se
     """Return the cells under some segments; None if none of their windows has material above the tip.
 
     :param begin: (L, 3) begins of all segments [m], and `end` (L, 3) their ends.
-    :param batch: the segments that count, and the windows of the map around them.
+    :param batch: the segments that count, and the windows of the height map around them.
     """
     cell, path = stock.cell, (cutter, begin, end)
     begin, end = begin[batch.rows], end[batch.rows]
@@ -695,7 +698,7 @@ class WindowCells(NamedTuple):
     """The cells in k windows of w columns and h rows.
 
     :param cell: (k, h, w) index in the flat map.
-    :param row: (k, h, 1) rows of the map.
+    :param row: (k, h, 1) rows of the height map.
     :param column: (k, 1, w) columns of the map.
     """
 
@@ -705,7 +708,7 @@ class WindowCells(NamedTuple):
 
 
 def window_cells(stock: Stock, corner: Ints, window: Ints) -> WindowCells:
-    """Return the cells of a map in k windows.
+    """Return the cells of a height map in k windows.
 
     :param corner: (k, 2) column and row of the first cell of each window.
     :param window: (2,) number of columns w and of rows h of all windows.
@@ -719,7 +722,7 @@ def cell_middles(stock: Stock, begin: Array, row: Ints, column: Ints) -> tuple[F
     """Return x (k, 1, w) and y (k, h, 1) of the middles of cells, relative to the starts of segments [m].
 
     :param begin: (k, 3) starts of segments [m].
-    :param row: (k, h, 1) rows of the cells in the map, and `column` (k, 1, w) their columns.
+    :param row: (k, h, 1) rows of the cells in the height map, and `column` (k, 1, w) their columns.
     """
     # each start of a segment from the middle of the first cell of the map
     origin = (begin[:, :2] - (stock.x, stock.y) - 0.5 * stock.cell)[:, :, None, None]
@@ -830,12 +833,14 @@ def _largest_coverage(cell: Ints, coverage: Floats, level: Floats) -> _Coverage:
 
 
 def _cut_in_part(stock: Stock, cell: Ints, coverage: Floats, level: Floats) -> None:
-    """Cut shares of cells down to levels, in place; cut areas of a cell are assumed nested, the smaller in the larger.
+    """Cut shares of cells of the height map down to levels, in place.
 
-    The new share of a cell is the larger of both shares, and its lower level the mean over that area: where both cuts
-    overlap the deeper one counts, elsewhere the only one.
+    The areas of a cell that several cuts cover are assumed nested, the smaller in the larger.
 
-    :param cell: (k,) index in the flat map, each once.
+    The new share of a cell is the larger of both shares (that of earlier cuts, and that of this one), and its lower
+    level the mean over that area: where both cuts overlap the deeper one counts, elsewhere the only one.
+
+    :param cell: (k,) index in the map, row by row, each once.
     :param coverage: (k,) share of the cell that the cylinder covers, and `level` (k,) its lower side there [m].
     """
     flat_high, flat_low, flat_share = (values.reshape(-1) for values in (stock.high, stock.low, stock.share))

@@ -41,7 +41,7 @@ class RemainingMesh(NamedTuple):
     """The remaining stock as a closed mesh.
 
     :param vertices: (V, 3) [m]; `faces`: (F, 3).
-    :param cell: width of the cells of the mesh [m]; larger than that of the map if the mesh was made coarser.
+    :param cell: width of the cells of the mesh [m]; larger than that of the height map if the mesh was made coarser.
     """
 
     vertices: Array
@@ -82,7 +82,7 @@ class _Columns(NamedTuple):
 
 
 def _columns(stock: Stock, factor: int) -> _Columns:
-    """Return the material in blocks of factor × factor cells of the map; the volume remains.
+    """Return the material in blocks of factor × factor cells of the height map; the volume remains.
 
     The levels of a block are divided at the middle between the highest and the lowest: their means are its two levels.
     """
@@ -94,7 +94,7 @@ def _columns(stock: Stock, factor: int) -> _Columns:
     pad = ((0, rows * factor - floor.shape[0]), (0, columns * factor - floor.shape[1]))
 
     def blocks(values: NDArray[Any]) -> NDArray[Any]:
-        """Return values of cells of the map by block: (ny, nx, factor²)."""
+        """Return values of cells of the height map by block: (ny, nx, factor²)."""
         by_axis = np.pad(values, pad).reshape(rows, factor, columns, factor)
         return by_axis.swapaxes(1, 2).reshape(rows, columns, factor * factor)
 
@@ -118,7 +118,7 @@ def _columns(stock: Stock, factor: int) -> _Columns:
 
 
 class _Sides(NamedTuple):
-    """Values at the sides between neighbouring cells, with empty cells around the map.
+    """Values at the sides between neighbouring cells, with empty cells around all.
 
     :param x: (ny, nx + 1) between the columns c − 1 and c.
     :param y: (ny + 1, nx) between the rows r − 1 and r.
@@ -149,7 +149,7 @@ def _steps(level: Array, is_filled: Bools, width: float) -> _Sides:
     """Return True at sides between filled cells whose heights differ by more than a slope explains.
 
     :param level: (ny, nx) height of one surface [m].
-    :param width: width of a cell [m].
+    :param width: width of a cell of the mesh [m].
     """
     steps = []
     for values, filled in ((level, is_filled), (level.T, is_filled.T)):
@@ -179,10 +179,10 @@ class _Layout(NamedTuple):
 def _layout(columns: _Columns, width: float) -> _Layout:
     """Return the layout of a mesh: partly cut cells have the level of their larger part, and walls move into them.
 
-    A wall moves by so much that the volume remains. Cells without a wall of their height next to them have their mean
-    level.
+    A wall is a side at which the material steps. It moves by so much that the volume remains. Partly cut cells without
+    a wall of their height next to them have their mean level.
 
-    :param width: width of a cell [m].
+    :param width: width of a cell of the mesh [m].
     """
     mean = columns.mean
     is_partial = columns.share > 0.0
@@ -191,8 +191,8 @@ def _layout(columns: _Columns, width: float) -> _Layout:
     height = columns.upper - columns.lower
     slope_y, slope_x = np.gradient(mean)
     weights = (slope_x**2 + 1e-15, slope_y**2 + 1e-15)  # the wall is across the slope; 1e-15 [m²]: none
-    for is_last in (False, True):
-        excess = np.where(is_partial, thickness - mean, 0.0)
+    for is_last in (False, True):  # a second time with mean levels where the first one finds no wall
+        excess = np.where(is_partial, thickness - mean, 0.0)  # by how much a cell is higher than its material [m]
         rises = _rises(columns.floor + thickness, thickness)
         moves: list[Array] = []  # of the sides before and after each cell along x, then along y
         total = np.zeros_like(mean)
@@ -249,7 +249,7 @@ def _corner_shift(before: Array, after: Array, skew: Array, is_wall: Bools) -> A
 def _around_corners(values: NDArray[Any]) -> list[NDArray[Any]]:
     """Return values of cells (ny, nx) at each corner (ny + 1, nx + 1), for the four cells around it in a ring.
 
-    In rows and columns from the corner: (−1, −1), (−1, 0), (0, 0), (0, −1); beside the map 0.
+    In rows and columns from the corner: (−1, −1), (−1, 0), (0, 0), (0, −1); outside of all cells 0.
     """
     padded = np.pad(values, 1)
     return [padded[:-1, :-1], padded[:-1, 1:], padded[1:, 1:], padded[1:, :-1]]
@@ -261,7 +261,7 @@ def _corner_levels(level: Array, is_filled: Bools, width: float, sign: float) ->
     Cells without a step between them have the mean of their heights in common.
 
     :param level: (ny, nx) height in the middle of each cell [m].
-    :param width: width of a cell [m].
+    :param width: width of a cell of the mesh [m].
     :param sign: 1 for the upper surface, −1 for the lower one.
     """
     steps = _steps(level, is_filled, width)
@@ -308,7 +308,7 @@ class _Surface(NamedTuple):
     :param height: (2, 4, ny + 1, nx + 1) heights of the upper and of the lower surface at each corner, for the four
         cells around it in a ring, in units of `_HEIGHT_STEP`.
     :param is_merged: (2, ny / `_BLOCK`, nx / `_BLOCK`) True for level blocks of each surface.
-    :param cell: width of a cell [m].
+    :param cell: width of a cell of the mesh [m].
     """
 
     x: Array
@@ -389,17 +389,18 @@ class _Surface(NamedTuple):
                 neighbour = block_row + 1 + row_step, block_column + 1 + column_step
                 is_simple = padded_merged[neighbour] & (padded_level[neighbour] == height)
                 first_row, first_column = row + begin[0] * _BLOCK, column + begin[1] * _BLOCK
-                pieces = [(is_simple, 0, _BLOCK), *((~is_simple, k, k + 1) for k in range(_BLOCK))]
-                for is_piece, start, end in pieces:
+                # blocks, and begin and end of a part of their side in cells: the whole side, or the side of each cell
+                side_parts = [(is_simple, 0, _BLOCK), *((~is_simple, k, k + 1) for k in range(_BLOCK))]
+                for has_part, start, end in side_parts:
                     ends = [
                         self._key(
-                            height[is_piece],
-                            first_row[is_piece] + k * along[0],
-                            first_column[is_piece] + k * along[1],
+                            height[has_part],
+                            first_row[has_part] + k * along[0],
+                            first_column[has_part] + k * along[1],
                         )
                         for k in (start, end)
                     ]
-                    yield np.column_stack([middle[is_piece], *(ends if side == 0 else ends[::-1])])
+                    yield np.column_stack([middle[has_part], *(ends if side == 0 else ends[::-1])])
 
     def _walls(self) -> Iterator[Ints]:
         """Yield the triangles (F, 3) of vertical faces, by the keys of their vertices.
@@ -409,7 +410,7 @@ class _Surface(NamedTuple):
         upper, lower = self.height
         padded_map = np.pad(self.is_filled, 1)
         # step in rows and columns to a neighbour, and of both corners of the side towards it, anticlockwise: step in
-        # rows and columns, place of the cell and of its neighbour in the ring
+        # rows and columns, and places of the cell and of its neighbour in the ring of four cells around the corner
         for row_step, column_step, begin, end in (
             (-1, 0, (0, 0, 2, 1), (0, 1, 3, 0)), (0, 1, (0, 1, 3, 2), (1, 1, 0, 1)),
             (1, 0, (1, 1, 0, 3), (1, 0, 1, 2)), (0, -1, (1, 0, 1, 0), (0, 0, 2, 3)),
@@ -417,8 +418,8 @@ class _Surface(NamedTuple):
             row, column = np.nonzero(self.is_filled)
             is_open = ~padded_map[row + 1 + row_step, column + 1 + column_step]
             chains = [
-                self._chain(row[is_open] + j, column[is_open] + k, upper[own], lower[own], (0, 1))
-                for j, k, own, _ in (begin, end)
+                self._chain(row[is_open] + j, column[is_open] + k, upper[cell_place], lower[cell_place], (0, 1))
+                for j, k, cell_place, _ in (begin, end)
             ]
             yield from _strip(*chains)
             if row_step + column_step < 0:
@@ -427,11 +428,15 @@ class _Surface(NamedTuple):
             for side in (0, 1):
                 heights = self.height[side]
                 is_wall = np.zeros(len(row), dtype=bool)
-                for j, k, own, other in (begin, end):
-                    is_wall |= heights[own][row + j, column + k] != heights[other][row + j, column + k]
+                for j, k, cell_place, next_place in (begin, end):
+                    corner_row, corner_column = row + j, column + k
+                    heights_of_cell, heights_of_next = heights[cell_place], heights[next_place]
+                    is_wall |= heights_of_cell[corner_row, corner_column] != heights_of_next[corner_row, corner_column]
                 chains = [
-                    self._chain(row[is_wall] + j, column[is_wall] + k, heights[own], heights[other], (side,))
-                    for j, k, own, other in (begin, end)
+                    self._chain(
+                        row[is_wall] + j, column[is_wall] + k, heights[cell_place], heights[next_place], (side,)
+                    )
+                    for j, k, cell_place, next_place in (begin, end)
                 ]
                 yield from _strip(*(chains if side == 0 else chains[::-1]))
 
@@ -470,7 +475,7 @@ def _strip(left: Ints, right: Ints) -> Iterator[Ints]:
 
 
 def _surface(stock: Stock, factor: int) -> _Surface:
-    """Return the surfaces of the mesh of a map, with cells that are wider by a whole factor."""
+    """Return the surfaces of the mesh of a height map, with cells that are wider by a whole factor."""
     width = stock.cell * factor
     columns = _columns(stock, factor)
     layout = _layout(columns, width)

@@ -66,7 +66,7 @@ class Cuts(Columns, frozen=True, eq=False):
     :param motion: (N,) row of `Motions`.
     :param t: (N,) position on it in [0, 1].
     :param wrench: (N, 6) mean force and moment about the tip on the tool. FEED axes; on moves along the spindle the
-        axes of the map.
+        axes of the height map.
     :param deviation: (N, 6) standard deviations of the wrench, see `cutting.Loads`.
     :param is_axial: (N,) True on moves along the spindle.
     :param torque: (N,) mean torque of the spindle [N·m].
@@ -112,7 +112,7 @@ class Sweep(Struct, eq=False):
     :ivar stopped_motions: cutting motions through material with the spindle off.
     :ivar has_contact: whether any cutting move engaged material.
     :ivar cell_error_sums: sums (M,) over the stations of each motion, increased in place.
-    :ivar overhang: row of a motion of a tool that leans → volume above the tool that a map cannot keep [m³].
+    :ivar overhang: row of a motion of a tool that leans → volume above the tool that a height map cannot keep [m³].
     :ivar tilted_volume: volume that tools that lean remove [m³].
     :ivar unpaced_motions: motions through material that only turn the tool, at a speed that is not known.
     :ivar top: height of the highest material at the start [m].
@@ -190,8 +190,10 @@ class Sweep(Struct, eq=False):
     def _cut_passed_front(self, last_front: Footprint, front: Footprint, tip: Array, face_radius: float) -> None:
         """Remove the material that was kept under the front of the tool, where the tool has passed.
 
-        Cells that are still under the front are not cut: on circles smaller than the tool the next groups meet them
-        again. Cells under the middle of an end face are cut: it needs no more material than the descent of one group.
+        The front is the part of the tool that moves into material; a group is a range of segments that are processed
+        together. Cells that are still under the front are not cut: on circles smaller than the tool the next groups
+        meet them again. Cells under the middle of an end face are cut: it needs no more material than the descent of
+        one group.
 
         :param last_front: cells that the last group of segments kept, `front` cells that this group keeps.
         :param tip: (3,) position of the tip at the end of this group [m].
@@ -360,8 +362,9 @@ class Sweep(Struct, eq=False):
     def _upright_cuts(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         """Yield the loads at stations along segments of tool `number`, in chunks that limit memory.
 
-        Stations are as far apart as the process states for cells, also where the map has finer ones: these are for the
-        contact at a station, not for changes along the path.
+        Stations (places of the tool where its force is computed) are as far apart as the process states for cells of
+        the height map, also where the map has finer ones: these are for the contact at a station, not for changes along
+        the path.
 
         :param begin: first segment, and `end` the one after the last.
         :param number: number of the tool, an index in `ToolStates.keys`.
@@ -386,7 +389,7 @@ class Sweep(Struct, eq=False):
         Equal sets of points are made once. The end face is left out if the tool does not descend.
 
         :param number: number of the tool, an index in `ToolStates.keys`.
-        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
+        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the height map.
         """
         cutter, pieces = self._cutter(number), self._edge(number)
         is_descent = bool((heading[:, 2] < -1e-6).any())
@@ -407,7 +410,7 @@ class Sweep(Struct, eq=False):
         return self._turns[key]
 
     def _highest_level(self, position: Array, radius: float) -> float:
-        """Return the highest level of the map within `radius` of positions (n, 3) of the tip [m]; −inf off the map."""
+        """Return the highest level of the stock [m] within `radius` of tips at positions (n, 3); −inf off its map."""
         stock, reach = self.stock, radius + 2.0 * self.stock.cell
         (x_low, y_low), (x_high, y_high) = position[:, :2].min(axis=0) - reach, position[:, :2].max(axis=0) + reach
         columns = slice(max(0, int((x_low - stock.x) / stock.cell)), max(0, int((x_high - stock.x) / stock.cell) + 1))
@@ -415,9 +418,9 @@ class Sweep(Struct, eq=False):
         return float(stock.high[rows, columns].max(initial=-np.inf))
 
     def _cuts_at(self, turn: Turn, number: int, position: Array, heading: Array, motion: Ints, t: Array) -> Cuts:
-        """Return engagement and loads at n stations of tool `number`.
+        """Return engagement and loads at n stations (places of the tip) of tool `number`.
 
-        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the map.
+        :param position: (n, 3) of the tip [m], `heading` (n, 3) unit directions of travel, frame of the height map.
         :param motion: (n,) rows of `Motions`, `t` (n,) places on them.
         """
         cutter = self._cutter(number)
@@ -456,7 +459,7 @@ class Sweep(Struct, eq=False):
         cuts: Floats,
         hole_depth: float,
     ) -> Cuts:
-        """Return engagement and loads at n stations of cutting motions.
+        """Return engagement and loads at n stations (places of the tip) on cutting motions.
 
         Set `has_contact` if an edge cuts, and add the errors by the cells of the map to `cell_error_sums`. Wrenches of
         tools that turn left (M4) are mirrored in place.
@@ -487,7 +490,7 @@ class Sweep(Struct, eq=False):
     def _engaged_edge(self, turn: Turn, position: Array, axes: tuple[Array, Array, Ints], layer: Floats) -> EngagedEdge:
         """Return the cutting edge in material at n stations.
 
-        :param position: (n, 3) of the tip [m], frame of the map.
+        :param position: (n, 3) of the tip [m], frame of the height map.
         :param axes: x (n,) and y (n,) of the unit direction of the feed, and hand (n,) of the tool, see `ToolStates`.
         :param layer: (n,) thickness of the layer that the end face cuts [m], see `cut_edge`.
         """

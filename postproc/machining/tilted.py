@@ -46,7 +46,7 @@ def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
     """Return the axes (n, 3, 3) of the edge of a tool as columns, and True (n,) for moves that give no x.
 
     z is the direction from the tip to the spindle, x the component of the travel square to z, and y = z × x. A move
-    along the spindle, or without travel, gives no x: then x is the component of the x of the map square to z.
+    along the spindle, or without travel, gives no x: then x is the component of the x of the height map square to z.
 
     :param travel: (n, 3) unit directions of travel, or zero, in the frame of the map.
     :param axis: (n, 3) unit directions from the tip to the spindle, in the frame of the map.
@@ -59,7 +59,7 @@ def local_axes(travel: Array, axis: Array) -> tuple[Array, Bools]:
 
 
 class TiltedPath(Columns, frozen=True, eq=False):
-    """S short straight pieces of the path of a tool that leans or turns, in the frame of the map [m].
+    """S short straight pieces of the path of a tool that leans or turns, in the frame of the height map [m].
 
     :param motion: (S,) row of `Motions`, and `t` (S,) place of the middle of the piece on it.
     :param tip: (S, 3) position of the tip in the middle, and `axis` (S, 3) unit direction to the spindle there.
@@ -99,7 +99,7 @@ class TiltedPath(Columns, frozen=True, eq=False):
         No piece is longer than a cell, or so long that ridges between its poses are higher than `_RIDGE_HEIGHT`.
 
         :param begin_axis: (L, 3) axes of the tool where segments begin, and `end_axis` (L, 3) where they end.
-        :param cell: width of a cell [m].
+        :param cell: width of a cell of the height map [m].
         :param feed: (M,) speed of the tip on motions [m/s].
         :param swing: (M,) angular speed of a tool whose tip rests [rad/s]; NaN: not known.
         """
@@ -214,7 +214,7 @@ def _tilted_chips(turn: Turn, path: TiltedPath, edge_axes: Array, edge_points: F
 
     The thickness of a chip is the component of this movement along the normal of the edge.
 
-    :param edge_axes: (S, 3, 3) axes of the edge as columns, frame of the map; mirrored for M4.
+    :param edge_axes: (S, 3, 3) axes of the edge as columns, frame of the height map; mirrored for M4.
     :param edge_points: (3, P) middles of the pieces of edge in these axes, from the tip [m].
     :param tooth_time: (S,) time from one tooth to the next [s].
     """
@@ -238,7 +238,7 @@ class SweptCells(Struct, frozen=True, eq=False):
     :param footprint: the cells that it covers, with its lowest level.
     :param front: cells under its front where the motion ends: it moves into their material next.
     :param depth: largest depth of material in cells under the tool [m].
-    :param overhang: volume above the tool, away from its front, that a map cannot keep [m³].
+    :param overhang: volume above the tool, away from its front, that a height map cannot keep [m³].
     :param removal: volume that is removed, away from its front and with the overhang [m³].
     """
 
@@ -252,7 +252,7 @@ class SweptCells(Struct, frozen=True, eq=False):
 def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> SweptCells:
     """Return the cells under a tool that moves from pose to pose, without removing their material.
 
-    :param tip: (n, 3) positions of the tip [m] in n > 1 poses close together, frame of the map.
+    :param tip: (n, 3) positions of the tip [m] in n > 1 poses close together, frame of the height map.
     :param axis: (n, 3) unit directions to the spindle.
     :param top: height of the highest material near the path [m].
     """
@@ -564,7 +564,7 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
     """Return the cutting edge in material of a tool that leans.
 
     :param turn: without pieces on a cylinder.
-    :param point: (n, P, 3) middles of the pieces of edge, frame of the map [m].
+    :param point: (n, P, 3) middles of the pieces of edge, frame of the height map [m].
     :param axes: (n, 3, 3) axes of the edge as columns, see `local_axes`; mirrored for M4.
     """
     x, y, z = (point[..., k].astype(np.float32) for k in range(3))
@@ -589,7 +589,7 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
 
 
 def _vertical_extents(turn: Turn, axes: Array) -> Floats:
-    """Return the extents of pieces of edge (n, P) along z of the map [m], at least 0.1 µm.
+    """Return the extents of pieces of edge (n, P) along z of the height map [m], at least 0.1 µm.
 
     :param axes: (n, 3, 3) axes of the edge as columns, see `local_axes`; mirrored for M4.
     """

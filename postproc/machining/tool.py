@@ -194,7 +194,7 @@ class Turn(Struct, frozen=True, eq=False):
 
     Points are about as far apart on small circles as on the rim; points of one kind of edge are contiguous.
 
-    :param sampling: error of forces by the cells of the map, relative to that of a ball.
+    :param sampling: error of forces by the cells of the height map, relative to that of a ball.
     :param least_cosine: smallest cosine of the slope that counts for that error; 1: the slope does not count.
     :param phi: (P,) angle of the turn [rad]: the middle of a part of the turn that is `width` (P,) [rad] wide.
     :param radius: (P,) distance from the axis [m].

@@ -299,7 +299,7 @@ _END_OF_MOTION = 1.0 - 1e-7
 
 
 class StraightSegments(Columns, frozen=True, eq=False):
-    """L straight segments in order; [m], frame of the map (z from the tip to the spindle).
+    """L straight segments in order; [m], frame of the height map (z from the tip to the spindle).
 
     :param motion: (L,) row of `Motions`.
     :param first: (L,) place on the motion where the segment begins, 0 … 1, and `last` (L,) place where it ends.
@@ -381,7 +381,7 @@ def straight_segments(
 
     Motions without a cutter have none, and neither have motions without length, unless the tool leans or turns.
 
-    :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
+    :param frame: (4, 4) frame of the height map in the `$BASE` of the stock, see `home_base`.
     :param cell: width of a cell [m].
     :param shift: displacement of the tip; segments are also divided at its places. None: no displacement.
     :param directions: directions of the tool; None: it is along z of the map.
@@ -435,7 +435,7 @@ def _travel_directions(
 def _segment_counts(program: Program, path: Segments, is_leaning: Bools, cell: float) -> Ints:
     """Return the number of straight segments of each motion (M,); 0 for a PTP on which the tool is along z of the map.
 
-    :param is_leaning: (M,) motions on which the tool turns or leans from z of the map.
+    :param is_leaning: (M,) motions on which the tool turns or leans from z of the height map.
     :param cell: width of a cell [m].
     """
     m = program.motions
@@ -504,7 +504,7 @@ class Directions(Struct, frozen=True, eq=False):
 
 
 def _is_leaning(program: Program, path: Segments, frame: Array, directions: Directions | None) -> Bools:
-    """Return True for motions (M,) on which the tool turns or leans from z of the map.
+    """Return True for motions (M,) on which the tool turns or leans from z of the height map.
 
     A PTP counts as one of them if its path is known, as it may turn the tool anywhere.
 
@@ -519,7 +519,7 @@ def _is_leaning(program: Program, path: Segments, frame: Array, directions: Dire
 
 
 class ToolPoses(Struct, frozen=True, eq=False):
-    """The poses of the tool on the motions of a program, in the frame of the map.
+    """The poses of the tool on the motions of a program, in the frame of the height map.
 
     :param program: the program, and `path` the geometry of its motions.
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.
@@ -534,7 +534,7 @@ class ToolPoses(Struct, frozen=True, eq=False):
     leans: Bools
 
     def spindle_directions(self, motion: Ints, t: Array) -> Array:
-        """Return the unit directions (n, 3) from tip to spindle at places on motions; z of the map if upright.
+        """Return the unit directions (n, 3) from tip to spindle at places on motions; z of the height map if upright.
 
         :param motion: (n,) rows of `Motions`, and `t` (n,) places on them.
         """
@@ -589,7 +589,7 @@ def _divided_at_shift(motion: Ints, first: Array, last: Array, shift: Shift) -> 
 
 
 class _SegmentVectors(NamedTuple):
-    """Two points and two directions of each of L segments, in the frame of the map.
+    """Two points and two directions of each of L segments, in the frame of the height map.
 
     :param first_point: (L, 3) [m].
     :param second_point: (L, 3) [m].
@@ -606,7 +606,7 @@ class _SegmentVectors(NamedTuple):
 def _to_map(
     program: Program, motion: Ints, frame: Array, points: tuple[Array, Array], directions: tuple[Array, Array]
 ) -> _SegmentVectors:
-    """Return two points and two directions of L segments in the frame of the map.
+    """Return two points and two directions of L segments in the frame of the height map.
 
     :param motion: (L,) rows of `Motions`.
     :param frame: (4, 4) frame of the map in the `$BASE` of the stock, see `home_base`.

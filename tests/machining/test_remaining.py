@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from postproc import machining, toolpath
 from postproc.cell import Frame
 from postproc.machining import stock as stocks
-from postproc.machining.remaining import Ceiling, Guard, Part, touches
+from postproc.machining.remaining import Ceiling, Guard, ToolPart, touches
 from postproc.machining.tool import Cutter
 from postproc.under_load import RobotInCell
 from tests.machining.setting import CELL, ROBOT, gcode, process, read, tool
@@ -22,7 +22,7 @@ def swept(folder, text, parts, need=0.0, box=BOX, cutter=None, resolution=CELL_M
     """Program, `ProcessForces` and guard; parts are (name, diameter, height above the tip) in mm."""
     program = read(folder, text)
     (folder / "process.toml").write_text(process(cutter or tool(20, 4), box, resolution))
-    guard = Guard([Part(name, 0.5e-3 * wide, 1e-3 * high) for name, wide, high in parts], 1e-3 * need)
+    guard = Guard([ToolPart(name, 0.5e-3 * wide, 1e-3 * high) for name, wide, high in parts], 1e-3 * need)
     place = RobotInCell.of(ROBOT, CELL)
     path = toolpath.segments(program, place.start_flange)
     found = machining.estimate(program, path, machining.load(folder / "process.toml"), place.spindle, guard=guard)
@@ -243,7 +243,7 @@ def test_a_body_that_is_flush_with_the_stock_does_not_touch_it(depth, is_hit):
 def test_a_part_inside_of_what_the_cutter_sweeps_needs_no_comparison(radius, need, height, corner, expected):
     """A cutter of radius 5 less two cells of 1; a ball is 1 above its tip at a distance of 3 [mm]."""
     guard = Guard([], 1e-3 * need)
-    part = Part("shank", 1e-3 * radius, 1e-3 * height)
+    part = ToolPart("shank", 1e-3 * radius, 1e-3 * height)
     assert guard._is_in_sweep(part, Cutter(5e-3, 1e-3 * corner, 2), 1e-3) is expected
 
 
@@ -251,7 +251,7 @@ def test_a_part_inside_of_what_the_cutter_sweeps_needs_no_comparison(radius, nee
 def test_the_distance_of_a_part_above_the_stock_is_recorded_if_it_is_below_the_needed_one(gap, closest):
     """1.5 mm are needed; of several segments of a motion the smallest distance remains."""
     stock = stocks.from_box(np.array([0.0, 0.0, -0.01]), np.array([0.02, 0.015, 0.0]), 1e-3)
-    guard, part = Guard([], 1.5e-3), Part("holder", 3e-3, 4e-3)
+    guard, part = Guard([], 1.5e-3), ToolPart("holder", 3e-3, 4e-3)
 
     def record(distance):
         place = np.array([[0.01, 0.008, 1e-3 * distance - 4e-3]])

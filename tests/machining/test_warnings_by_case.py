@@ -15,7 +15,7 @@ from postproc.errors import ForceError
 from postproc.machining import identification, profiles, resolution, source
 from postproc.machining import sweep as sweep_module
 from postproc.machining.process import ToolTable
-from postproc.machining.remaining import Guard, Part
+from postproc.machining.remaining import Guard, ToolPart
 from postproc.machining.sweep import Cuts, Sweep
 from postproc.machining.tool_path import StraightSegments
 from postproc.program import PTP
@@ -135,7 +135,7 @@ def test_a_cutter_of_another_diameter_is_an_error_of_the_tools_that_cut():
 
 
 def test_what_touches_the_stock_without_cutting_is_an_error_of_each_part():
-    guard = Guard([Part("shank", 0.01, 0.02), Part("holder", 0.03, 0.05), Part("spindle", 0.1, 0.2)], 0.002)
+    guard = Guard([ToolPart("shank", 0.01, 0.02), ToolPart("holder", 0.03, 0.05), ToolPart("spindle", 0.1, 0.2)], 0.002)
     guard.close_distances = {("holder", 4): 0.0012, ("shank", 2): 0.0, ("holder", 1): 0.0012, ("holder", 3): 0.0015}
     issues = list(estimate._collision_issues(MADE, {6: 0.003, 0: 0.003}, guard))
     assert [issue.subject for issue in issues] == ["cutter, stock", "shank, stock", "holder, stock"]
