@@ -38,7 +38,7 @@ class Frames:
     :ivar tool_numbers: row of `tools` → numbers n of the `TOOL_DATA[n]` that the program has put into `$TOOL` with this
         frame.
     :ivar is_initmov_open: True if the cell does not say to what BAS(#INITMOV,0) sets `$BASE` and `$TOOL`.
-    :ivar uncertain_names: `$BASE`, `$TOOL` or both, if the program has read their value after such a call.
+    :ivar names_read_as_assumed: `$BASE`, `$TOOL` or both, if a statement has read their value after such a call.
     """
 
     def __init__(self, variables: Variables, cell: Cell, reasons: Reasons) -> None:
@@ -48,7 +48,7 @@ class Frames:
         self.tools: list[Array] = [cell.tool.pose()]
         self.tool_numbers: dict[int, set[int]] = {}
         self.is_initmov_open = cell.krl.initmov is None
-        self.uncertain_names: set[str] = set()
+        self.names_read_as_assumed: set[str] = set()
         self._rows: dict[tuple[str, tuple[float, ...]], int] = {}  # name and numbers of each frame that was set → row
         self._frames_with_uncertain_angles: set[tuple[str, int]] = set()  # name and row: see `_has_angles_in_range`
 
@@ -127,7 +127,7 @@ class Frames:
     def current_value(self, state: State, name: str, field: str | None) -> VariableValue:
         """Return the value of `$BASE` or `$TOOL` in a state, or one of its components.
 
-        The name is added to `uncertain_names` if the value may be another one on the controller.
+        The name is added to `names_read_as_assumed` if the value may be another one on the controller.
 
         :param field: X … C; None: the whole frame. `NO_VALUE` is returned for other fields.
         :returns: an `UnknownValue` if the frame is not known, or the component is an angle that may be another one.
@@ -136,7 +136,7 @@ class Frames:
         if row < 0:  # an unknown frame holds the index of its reason, see `State.base`
             return UnknownValue(reason=self.reasons.errors[-1 - row].problem)
         if self.is_initmov_open and name in self.frames_of_cell(state):
-            self.uncertain_names.add(name)
+            self.names_read_as_assumed.add(name)
         position = position_from_pose(frames[row])
         if field is None:
             return position

@@ -14,7 +14,7 @@ from postproc.dialects.krl.language.names import BY_FILE, BY_SENSOR
 from postproc.dialects.krl.language.parser import statement
 from postproc.dialects.krl.language.tree import Motion, Return
 from postproc.dialects.krl.layout import Layout
-from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.main_routine import TraceFollower
 from postproc.dialects.krl.read.motion_columns import MotionColumns
 from postproc.dialects.krl.read.run import Run, UntracedCall
 from postproc.dialects.krl.read.state import MotionStates
@@ -28,44 +28,46 @@ _MOST_FILES = 3
 
 
 def issues_of(
-    main: MainRoutine, motion_states: MotionStates, columns: MotionColumns, layout: Layout
+    follower: TraceFollower, motion_states: MotionStates, columns: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Yield the issues about a program that has been followed.
 
-    :param main: has followed the program.
+    :param follower: has followed the program.
     :param motion_states: settings in force at the motions of the program.
     :param columns: the motions.
     :raises ProgramError: a called program is known to move the robot by a sensor or along the points of a file.
     """
-    yield from _absent_program_warnings(main)
-    yield from _uncalled_routine_warnings(main)
-    yield from _unreachable_motion_warnings(main)
-    yield from _changed_variable_warnings(main)
-    yield from _initial_frame_warnings(main, motion_states, columns, layout)
+    yield from _absent_program_warnings(follower)
+    yield from _uncalled_routine_warnings(follower)
+    yield from _unreachable_motion_warnings(follower)
+    yield from _changed_variable_warnings(follower)
+    yield from _initial_frame_warnings(follower, motion_states, columns, layout)
 
 
-def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
+def _absent_program_warnings(follower: TraceFollower) -> Iterator[Issue]:
     """Yield a warning for each called program that is in no file: it is assumed not to move the robot.
 
     :raises ProgramError: one of the programs is known to move the robot by a sensor (`BY_SENSOR`), or along the points
         of a file (`BY_FILE`).
     """
-    global_names = sorted(main.run.variables.used_names & main.run.variables.global_names)  # motions depend on them
+    global_names = sorted(
+        follower.run.variables.used_names & follower.run.variables.global_names
+    )  # motions depend on them
     points = f", nor the GLOBAL {first_of(global_names, _MOST_NAMES)}" if global_names else ""
-    for name, line in main.run.absent_calls:
+    for name, line in follower.run.absent_calls:
         if name.upper() in BY_SENSOR:
-            raise main.run.routine.source.line_error(
+            raise follower.run.routine.source.line_error(
                 f"{name}() moves the robot by what a sensor says: the path is not known",
                 line,
                 "Convert the program without the sensor's correction.",
             )
         if name.upper() in BY_FILE:
-            raise main.run.routine.source.line_error(
+            raise follower.run.routine.source.line_error(
                 f"{name}() moves the robot along the points of a file, which are not in the program",
                 line,
                 "Convert the G-code or the cutter-location file of the part instead: it becomes KRL with all points.",
             )
-        fault = main.run.library.faults.get(name.upper())
+        fault = follower.run.library.faults.get(name.upper())
         place_text = f"is in a file that cannot be read ({fault})" if fault else "is in no file that was searched"
         message = (
             f"{name}() {place_text}: it is assumed not to move the robot nor to change $BASE, $TOOL, speeds{points}. "
@@ -74,45 +76,46 @@ def _absent_program_warnings(main: MainRoutine) -> Iterator[Issue]:
         yield Issue("warning", "external-call", message, line, subject=name.upper())
 
 
-def _uncalled_routine_warnings(main: MainRoutine) -> Iterator[Issue]:
+def _uncalled_routine_warnings(follower: TraceFollower) -> Iterator[Issue]:
     """Yield a warning for each routine of the program that has motions of its own and is not called."""
-    program = main.run.library.program
+    program = follower.run.library.program
     for routine in program.routines.values():
-        if routine is main.run.routine or routine in main.run.called_routines:
+        if routine is follower.run.routine or routine in follower.run.called_routines:
             continue
-        motion = main.run.analysis.effects_of(program, routine).motion
-        if motion is None or motion.source is not main.run.routine.source:
+        motion = follower.run.analysis.effects_of(program, routine).motion
+        if motion is None or motion.source is not follower.run.routine.source:
             continue
         if not routine.first < motion.line < routine.last:
             continue  # the motion of a routine that it calls: reported for that routine
         message = (
-            f"DEF {routine.name} has motions but {main.run.routine.name} does not call it; they are left as they are."
+            f"DEF {routine.name} has motions but {follower.run.routine.name} does not call it; "
+            "they are left as they are."
         )
         yield Issue("warning", "uncalled-motions", message, motion.line, subject=routine.name)
 
 
-def _unreachable_motion_warnings(main: MainRoutine) -> Iterator[Issue]:
+def _unreachable_motion_warnings(follower: TraceFollower) -> Iterator[Issue]:
     """Yield a warning if motions of the main routine never run because of its RETURN."""
-    routine, source, end = main.run.routine, main.run.routine.source, main.run.level.return_line
-    if not end or main.execution.may_run is None or not isinstance(statement(source, end), Return):
+    routine, source, end = follower.run.routine, follower.run.routine.source, follower.run.level.return_line
+    if not end or follower.execution.may_run is None or not isinstance(statement(source, end), Return):
         return
     motion_lines = [line for line in routine.other_lines if line > end and isinstance(statement(source, line), Motion)]
     lines = np.sort([*routine.motion_lines[routine.motion_lines > end].tolist(), *motion_lines]).astype(np.int64)
-    rows, index = main.execution.rows_of(source, lines)
+    rows, index = follower.execution.rows_of(source, lines)
     # without lines that run all the same: the RETURN is in a loop
-    lines = np.delete(lines, index[main.execution.may_run[rows - 1]])
+    lines = np.delete(lines, index[follower.execution.may_run[rows - 1]])
     if len(lines):
         message = f"Motions are never reached, because of RETURN (line {end}); they are left as they are."
         yield Issue("warning", "never-reached", message, int(lines[0]), subject=routine.name, count=len(lines))
 
 
-def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
+def _changed_variable_warnings(follower: TraceFollower) -> Iterator[Issue]:
     """Yield a warning if programs that are not called change GLOBAL variables on which motions depend.
 
     Variables that the program itself changes are left out.
     """
-    variables = main.run.variables
-    writers = main.run.library.programs_setting(
+    variables = follower.run.variables
+    writers = follower.run.library.programs_setting(
         (variables.used_names & variables.global_names) - variables.change_places.keys()
     )
     if not writers:
@@ -126,18 +129,24 @@ def _changed_variable_warnings(main: MainRoutine) -> Iterator[Issue]:
 
 
 def _initial_frame_warnings(
-    main: MainRoutine, motion_states: MotionStates, columns: MotionColumns, layout: Layout
+    follower: TraceFollower, motion_states: MotionStates, columns: MotionColumns, layout: Layout
 ) -> Iterator[Issue]:
     """Yield a warning for `$BASE` and `$TOOL` if they are frames of the cell only because no statement sets them.
 
-    :param motion_states: settings in force at the motions `columns`.
+    It matters to motions with Cartesian targets, and to statements that read the frame.
+
+    :param motion_states: settings in force at the M motions.
+    :param columns: the M motions as they are in the text.
     """
-    has_axis_target = np.zeros(len(columns), dtype=np.bool_)  # needs no frames
-    has_axis_target[[row for row, move in layout.statements.items() if move.end.position.is_axis]] = True
+    settings = follower.run.settings
+    has_axis_target = np.zeros(len(columns), dtype=np.bool_)  # joint angles: the motion needs no frames
+    has_axis_target[[motion for motion, move in layout.statements.items() if move.end.position.is_axis]] = True
     for name, table in (("$BASE", "[base]"), ("$TOOL", "[tool]")):
-        is_assumed = np.array([name in main.run.settings.assumed_frames(state) for state in motion_states.states])
-        affected_rows = np.flatnonzero(is_assumed[motion_states.index] & ~has_axis_target)
-        if not len(affected_rows) and name not in main.run.settings.frames.uncertain_names:
+        is_assumed_in_state = np.array([name in settings.assumed_frames(state) for state in motion_states.states])
+        is_assumed = is_assumed_in_state[motion_states.index]  # (M,)
+        affected_motions = np.flatnonzero(is_assumed & ~has_axis_target)
+        is_read_by_statements = name in settings.frames.names_read_as_assumed
+        if not len(affected_motions) and not is_read_by_statements:
             continue
         kuka_frame = "BASE(0), that is $ROBROOT" if name == "$BASE" else "TOOL_DATA[1]"
         message = (
@@ -148,9 +157,11 @@ def _initial_frame_warnings(
             "warning",
             "initial-frames",
             message,
-            main.run.trace.reported_line(columns.trace_row.item(affected_rows[0])) if len(affected_rows) else None,
+            follower.run.trace.reported_line(columns.trace_row.item(affected_motions[0]))
+            if len(affected_motions)
+            else None,
             subject=name,
-            count=len(affected_rows),
+            count=len(affected_motions),
         )
 
 

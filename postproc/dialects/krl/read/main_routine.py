@@ -247,7 +247,7 @@ def _note_submit_programs(run: Run) -> None:
             run.note_possible_changes(effects.writes | effects.volatile_writes, f"the submit program {module.name}")
 
 
-class MainRoutine:
+class TraceFollower:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
     :param collected_motions: the motions of the program if its statements have run; else an empty collection.

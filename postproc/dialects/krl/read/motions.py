@@ -31,7 +31,7 @@ from postproc.dialects.krl.read.end_poses import (
     same_orientation,
 )
 from postproc.dialects.krl.read.external_axes import external_axes
-from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.main_routine import TraceFollower
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.plain_rounds import ElementMotions
 from postproc.dialects.krl.read.plain_settings import NUMBERS
@@ -89,33 +89,33 @@ class _MergedSettings(NamedTuple):
     numbers: Runs
 
 
-def ordered_motions(main: MainRoutine, plain_parts: list[MotionColumns]) -> OrderedMotions:
+def ordered_motions(follower: TraceFollower, plain_parts: list[MotionColumns]) -> OrderedMotions:
     """Return all motions of a program in order: plain lines and statements together.
 
-    :param main: has followed all lines that are not plain.
+    :param follower: has followed all lines that are not plain.
     :param plain_parts: plain motions, in parts; the list is emptied, so that their memory is released.
     """
-    plain_parts += [rounds.columns for rounds in main.rounds]
-    statement_rows = main.motions.columns()
+    plain_parts += [rounds.columns for rounds in follower.rounds]
+    statement_rows = follower.motions.columns()
     places, motion_states, numbers = _merged_settings(
-        main, [columns.trace_row for columns in plain_parts], statement_rows.trace_row
+        follower, [columns.trace_row for columns in plain_parts], statement_rows.trace_row
     )
     first = sum(map(len, plain_parts))  # index in `places` of the first statement
-    moves = {places.item(first + index): move for index, move in main.motions.special_moves}
+    moves = {places.item(first + index): move for index, move in follower.motions.special_moves}
     plain_parts.append(statement_rows)
     return OrderedMotions(merged_motions(plain_parts, places), motion_states, numbers, moves)
 
 
-def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines: Ints) -> _MergedSettings:
+def _merged_settings(follower: TraceFollower, plain_lines: list[Ints], statement_lines: Ints) -> _MergedSettings:
     """Return the order of plain motions and statements, and the settings in force at each motion.
 
-    :param main: has followed all lines that are not plain.
+    :param follower: has followed all lines that are not plain.
     :param plain_lines: lines of the plain motions in the trace, in parts.
     :param statement_lines: (S,) lines of the motions that were read as statements.
     """
     line = np.concatenate(plain_lines)
-    plain_states = _states_of_lines(main.run.settings, line)  # statements have their states with them
-    states, statement_index = _with_statement_states(plain_states.motion_states.states, main.motions.states)
+    plain_states = _states_of_lines(follower.run.settings, line)  # statements have their states with them
+    states, statement_index = _with_statement_states(plain_states.motion_states.states, follower.motions.states)
     plain_places, statement_places = _merged_places(line, statement_lines)
     places = compact(np.concatenate([plain_places, statement_places]), np.int32)
     index: NDArray[Any] = np.empty(len(places), dtype=np.int32)
@@ -124,7 +124,7 @@ def _merged_settings(main: MainRoutine, plain_lines: list[Ints], statement_lines
     # plain settings are not part of the states: they replace the numbers of the plain motions
     for column in range(len(NUMBERS)):
         state_values = numbers[plain_places, column]
-        numbers[plain_places, column] = main.run.settings.plain_assignments.values_at(
+        numbers[plain_places, column] = follower.run.settings.plain_assignments.values_at(
             column, line, plain_states.change_lines, state_values
         )
     return _MergedSettings(places, MotionStates(states, index), Runs.of(numbers))
@@ -165,7 +165,7 @@ def stated_turn_speeds(numbers: Runs) -> Runs | None:
 
 
 def motions_and_layout(
-    main: MainRoutine,
+    follower: TraceFollower,
     sequence: OrderedMotions,
     start_joints: Array,
     kinematics: Callable[[Array], Array],
@@ -173,7 +173,7 @@ def motions_and_layout(
 ) -> MotionsAndLayout:
     """Return the motions of a program in order, and the layout of their text.
 
-    :param main: has followed all lines that are not plain.
+    :param follower: has followed all lines that are not plain.
     :param sequence: all motions; the missing numbers of their targets are filled in in place.
     :param start_joints: (6,) joint angles at the start [rad].
     :param kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
@@ -181,18 +181,18 @@ def motions_and_layout(
     :raises ProgramError: a frame, a component or an axis is not known; external axes move; an orientation or a circle
         is not what the controller could follow.
     """
-    trace, settings = main.execution.trace, main.run.settings
-    sequence = _with_approximation(main, sequence)
+    trace, settings = follower.execution.trace, follower.run.settings
+    sequence = _with_approximation(follower, sequence)
     columns, motion_states, _, moves = sequence
     _check_settings(settings, sequence)
-    targets, axis_issues = _text_targets(main, sequence, predecessors)
+    targets, axis_issues = _text_targets(follower, sequence, predecessors)
     text_ends = columns.numbers[columns.kind == CIRC, :3]  # a copy: `end_poses` completes the numbers in place
     ends = end_poses(targets, start_joints, kinematics, predecessors)
     is_wrist_led = _wrist_led_rows(trace, columns, motion_states, ends, targets.carriage)
     _check_automatic_wrist_mode(trace, columns, motion_states, ends, settings)
     path = _Path(targets, ends, _circle_columns(sequence, targets, ends, text_ends, settings))
     motions = _motions(trace, sequence, path)
-    layout = _layout(main, sequence, motions, path, is_wrist_led)
+    layout = _layout(follower, sequence, motions, path, is_wrist_led)
     has_assumed_speed = motion_states.column(lambda state: state.is_speed_assumed) & (columns.kind != PTP)
     issues = [
         *axis_issues,
@@ -204,7 +204,7 @@ def motions_and_layout(
     return MotionsAndLayout(motions, layout, issues)
 
 
-def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedMotions:
+def _with_approximation(follower: TraceFollower, sequence: OrderedMotions) -> OrderedMotions:
     """Return the motions with `approximated` as it holds in spline blocks.
 
     Inside a block only the last motion can be approximated, by ENDSPLINE C_SPL.
@@ -212,20 +212,20 @@ def _with_approximation(main: MainRoutine, sequence: OrderedMotions) -> OrderedM
     :raises ProgramError: a motion is not allowed inside, or outside, of a spline block.
     """
     columns, block = sequence.columns, sequence.motion_states.column(lambda state: state.spline_block)
-    check_words(main.execution.trace, columns, block)
-    is_approximated = approximated_motions(columns, block != "", main.splines.approximated_ends)
+    check_words(follower.execution.trace, columns, block)
+    is_approximated = approximated_motions(columns, block != "", follower.splines.approximated_ends)
     return sequence._replace(columns=replace(columns, approximated=is_approximated))
 
 
 def _text_targets(
-    main: MainRoutine, sequence: OrderedMotions, predecessors: Ints | None
+    follower: TraceFollower, sequence: OrderedMotions, predecessors: Ints | None
 ) -> tuple[TextTargets, list[Issue]]:
     """Return the targets as the text gives them, and issues about external axes.
 
     :param predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :raises ProgramError: an external axis moves, or a circle turns the tool in a way that is not known.
     """
-    trace, settings = main.execution.trace, main.run.settings
+    trace, settings = follower.execution.trace, follower.run.settings
     columns, motion_states, _, moves = sequence
     relative_rows = np.array([row for row, move in moves.items() if move.relative_axes], dtype=np.int64)
     uses_root = np.ones(len(columns), dtype=np.bool_)  # the path depends on the robot root, except to axis targets
@@ -298,7 +298,9 @@ def _motions(trace: Trace, sequence: OrderedMotions, path: _Path) -> Motions:
     )
 
 
-def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path: _Path, is_wrist_led: Bools) -> Layout:
+def _layout(
+    follower: TraceFollower, sequence: OrderedMotions, motions: Motions, path: _Path, is_wrist_led: Bools
+) -> Layout:
     """Return the places of the numbers of the motions in the text; `notes` are added by the reader.
 
     :param sequence: all motions; `motions` and `path` are what has been computed from them.
@@ -306,10 +308,10 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
     """
     columns, motion_states, _, moves = sequence
     targets, ends, circles = path
-    run = main.run
-    elements = tuple(_elements_of_program(columns, rounds) for rounds in main.rounds)
+    run = follower.run
+    elements = tuple(_elements_of_program(columns, rounds) for rounds in follower.rounds)
     return Layout(
-        execution=main.execution,
+        execution=follower.execution,
         trace_row=columns.trace_row,
         notes=(),
         numbers=ends.numbers,
@@ -336,7 +338,7 @@ def _layout(main: MainRoutine, sequence: OrderedMotions, motions: Motions, path:
         global_names=frozenset(run.settings.variables.global_names),
         followed_names=frozenset(run.followed_names),
         copies=frozenset(run.copies),
-        triggers=_triggers_of_motions(main, columns.trace_row, motions, ends.start),
+        triggers=_triggers_of_motions(follower, columns.trace_row, motions, ends.start),
         carriage=targets.carriage,
         resume_place="" if run.resume_place is None else str(run.resume_place),
     )
@@ -468,13 +470,13 @@ def _check_settings(settings: Settings, sequence: OrderedMotions) -> None:
         raise combined_error(faults)
 
 
-def setting_errors(main: MainRoutine, plain_parts: list[MotionColumns]) -> Iterator[ProgramError]:
+def setting_errors(follower: TraceFollower, plain_parts: list[MotionColumns]) -> Iterator[ProgramError]:
     """Yield the errors of the motions of a program that depend on unknown settings, once for each reason.
 
-    :param main: has followed all lines that are not plain.
+    :param follower: has followed all lines that are not plain.
     :param plain_parts: plain motions, in parts; the list is emptied.
     """
-    yield from _setting_errors(main.run.settings, ordered_motions(main, plain_parts))
+    yield from _setting_errors(follower.run.settings, ordered_motions(follower, plain_parts))
 
 
 def _setting_errors(settings: Settings, sequence: OrderedMotions) -> Iterator[ProgramError]:
@@ -716,7 +718,7 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
         )
 
 
-def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
+def _triggers_of_motions(follower: TraceFollower, line: Ints, motions: Motions, start: Starts) -> tuple[Trigger, ...]:
     """Return the TRIGGERs that refer to a motion, in order.
 
     A TRIGGER refers to the next motion, unless a spline block ends between the two.
@@ -724,18 +726,18 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     :param line: (M,) lines of the motions in the trace.
     :param start: poses at which the motions start.
     """
-    lines = np.array(main.run.triggers, dtype=np.int64)
+    lines = np.array(follower.run.triggers, dtype=np.int64)
     rows = np.searchsorted(line, lines)  # the next motion after each TRIGGER; M if there is none
     lines, rows = lines[rows < len(motions)], rows[rows < len(motions)]
     is_in_block = [
-        main.are_in_one_block(trigger_line, motion_line)
+        follower.are_in_one_block(trigger_line, motion_line)
         for trigger_line, motion_line in zip(lines.tolist(), line[rows].tolist(), strict=True)
     ]
     lines, rows = lines[is_in_block], rows[is_in_block]
     if not len(rows):
         return ()
     is_attached = [
-        main.has_only_comments(trigger_line + 1, motion_line - 1)
+        follower.has_only_comments(trigger_line + 1, motion_line - 1)
         for trigger_line, motion_line in zip(lines.tolist(), line[rows].tolist(), strict=True)
     ]
     begin, end = start.at(rows)[:, :3, 3], motions.target.position[rows]  # positions [m]
@@ -743,7 +745,7 @@ def _triggers_of_motions(main: MainRoutine, line: Ints, motions: Motions, start:
     # lengths of the motions [m]
     length = np.where(is_arc, norm(begin - motions.centre[rows]) * motions.sweep[rows], norm(end - begin))
     return tuple(
-        triggers(main.execution.trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length)
+        triggers(follower.execution.trace, list(zip(lines.tolist(), rows.tolist(), is_attached, strict=True)), length)
     )
 
 

@@ -15,7 +15,7 @@ from postproc.dialects.changed_data import FollowedRun, changed_data_issue, late
 from postproc.dialects.krl.execution import Execution, Lines, RoutineExit, Step, UnresolvedStructure
 from postproc.dialects.krl.language.positions import Position
 from postproc.dialects.krl.read.known import UnknownValue, shown_name
-from postproc.dialects.krl.read.main_routine import MainRoutine, Start, execution_of
+from postproc.dialects.krl.read.main_routine import Start, TraceFollower, execution_of
 from postproc.dialects.krl.read.motions import OrderedMotions, ordered_motions
 from postproc.dialects.krl.read.plain_lines import PlainLines
 from postproc.dialects.krl.read.rounds import Uses
@@ -26,7 +26,7 @@ from postproc.frames import Array
 
 
 def changed_data_issues(
-    main: MainRoutine,
+    follower: TraceFollower,
     change_places: Mapping[str, str],
     first: OrderedMotions,
     plain_lines: PlainLines,
@@ -36,14 +36,14 @@ def changed_data_issues(
 
     Each run begins with the data that the one before leaves.
 
-    :param main: has followed the first run.
+    :param follower: has followed the first run.
     :param change_places: variables whose values the first run leaves to the next, see `kept_values`; nothing is yielded
         if there are none.
     :param first: motions of the first run.
     :param plain_lines: plain lines of the trace.
     :param start_joints: (6,) joint angles at the start [deg].
     """
-    later_runs = _LaterRuns(main, change_places, first, plain_lines, start_joints)
+    later_runs = _LaterRuns(follower, change_places, first, plain_lines, start_joints)
     difference = later_difference(change_places.keys(), later_runs.follow_next)
     if difference is not None:
         names = sorted(set(map(variable_of, difference.names)))
@@ -51,13 +51,13 @@ def changed_data_issues(
         yield changed_data_issue(places, difference.place, is_certain=difference.is_certain)
 
 
-def kept_values(main: MainRoutine) -> dict[str, str]:
+def kept_values(follower: TraceFollower) -> dict[str, str]:
     """Return variable → place that changes it, for variables whose values the next run of the program may use.
 
     Left out are variables that the program sets before it uses them, and variables that it uses only to compute their
     own next value; but not those that an interrupt, for example, may change at any time.
     """
-    run, change_places = main.run, main.run.settings.variables.changed_data()
+    run, change_places = follower.run, follower.run.settings.variables.changed_data()
     uses = Uses(run, run.routine.source, run.nodes(run.routine)) if change_places else None
     volatile_names = run.settings.variables.volatile_values
     return {
@@ -75,7 +75,7 @@ class _LaterRuns:
 
     def __init__(
         self,
-        main: MainRoutine,
+        follower: TraceFollower,
         change_places: Mapping[str, str],
         first: OrderedMotions,
         plain_lines: PlainLines,
@@ -83,8 +83,8 @@ class _LaterRuns:
     ) -> None:
         """Begin behind the first run."""
         self.change_places = dict(change_places)
-        self._main, self._first, self._plain_lines, self._start_joints = main, first, plain_lines, start_joints
-        self._last_variables = main.run.settings.variables
+        self._follower, self._first, self._plain_lines, self._start_joints = follower, first, plain_lines, start_joints
+        self._last_variables = follower.run.settings.variables
 
     def follow_next(self, unknown_keys: frozenset[str]) -> FollowedRun:
         """Follow the program with the data that the run before has left, and compare it with the first run.
@@ -92,7 +92,7 @@ class _LaterRuns:
         :param unknown_keys: variables and elements of arrays that are unknown when the run begins.
         :returns: the run; its difference is a line of the file. Changed data are given by their keys.
         """
-        main, first_run = self._main, self._main.run
+        follower, first_run = self._follower, self._follower.run
         variables = self._last_variables.next_run()
         for key in unknown_keys:
             variables.put(key, UnknownValue(self.change_places[variable_of(key)]))
@@ -108,17 +108,17 @@ class _LaterRuns:
         plain_lines = replace(self._plain_lines, motions=[*self._plain_lines.motions])
         try:
             execution, collected_motions = execution_of(start)
-            row = _first_differing_row(main.execution, execution)
+            row = _first_differing_row(follower.execution, execution)
             if row is None:
-                later = MainRoutine(
-                    collected_motions or start.new_collection(main.execution.trace), main.execution, plain_lines
+                later = TraceFollower(
+                    collected_motions or start.new_collection(follower.execution.trace), follower.execution, plain_lines
                 )
                 if collected_motions is None:
                     later.follow([])
                 motions = ordered_motions(later, plain_lines.motions)
                 row = _first_difference(first_run.settings, self._first, later.run.settings, motions)
             if row is not None:
-                return FollowedRun(main.execution.trace.reported_line(row))
+                return FollowedRun(follower.execution.trace.reported_line(row))
         except ProgramError as cause:  # the run cannot be followed
             return FollowedRun(cause.line or first_run.routine.first)
         self._last_variables = later.run.settings.variables

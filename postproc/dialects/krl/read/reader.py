@@ -49,7 +49,7 @@ from postproc.dialects.krl.read.joins import (
     transitions,
 )
 from postproc.dialects.krl.read.known import InexactError
-from postproc.dialects.krl.read.main_routine import MainRoutine, Start, execution_of
+from postproc.dialects.krl.read.main_routine import Start, TraceFollower, execution_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.motions import (
     OrderedMotions,
@@ -68,7 +68,7 @@ from postproc.dialects.krl.read.waits import waits
 from postproc.dialects.text import decode
 from postproc.errors import CellError, Issue, ProgramError, combined_error
 from postproc.frames import DEG_PER_RAD, Array, any_column
-from postproc.program import PTP, Document, Event, ForceNote, Ints, Motions, NeededFile, Program, distinct
+from postproc.program import PTP, Bools, Document, Event, ForceNote, Ints, Motions, NeededFile, Program, distinct
 
 
 def read_program(
@@ -102,37 +102,37 @@ def _read_program(
 ) -> Program:
     """Read a KRL program, see `read_program`.
 
-    Routines of other files and branches that cannot be corrected become obstacles: the program is followed again
-    without them, until no new one is found.
+    Routines of other files and forks (an IF or SWITCH whose branch taken is not known before run time) that cannot be
+    corrected become obstacles: the program is followed again, and leaves their motions uncorrected, until no new one is
+    found.
 
-    :param bulk: False to read plain lines one by one.
+    :param bulk: False to read plain lines (motions and settings of the common form) one by one, as all others.
     :raises ProgramError: see `read_program`.
     """
     source = Source.of(documents[0], SRC)
     # in a list, from which the first reading takes them, so that their memory is released
     scanned_lines = [plain_lines_of(source, bulk=bulk)]
-    module, entry, faults = _main_routine(source, scanned_lines[0], name)
+    module, entry, routine_faults = _main_routine(source, scanned_lines[0], name)
     other_documents = [document for document in documents[1:] if not _is_data_of(document, documents[0])]
     library = Library(module, FolderFiles(_folders(documents[0], cell), other_documents))
     code = text_of_lines(source, (np.flatnonzero(scanned_lines[0].is_other_line(len(source.starts))) + 1).tolist())
-    reading = _Reading(documents, cell, kinematics, name, library=library, entry=entry, faults=faults, code=code)
+    reading = _Reading(
+        documents, cell, kinematics, name, library=library, entry=entry, routine_faults=routine_faults, code=code
+    )
     obstacles: dict[Routine | ForkVisit, ProgramError] = {}
     while True:
         try:
-            return reading.program(
-                reading.follow(
-                    scanned_lines.pop() if scanned_lines else plain_lines_of(source, bulk=bulk), obstacles, bulk=bulk
-                )
-            )
+            plain_lines = scanned_lines.pop() if scanned_lines else plain_lines_of(source, bulk=bulk)
+            return reading.program(reading.follow(plain_lines, obstacles, bulk=bulk))
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             raise source.line_error(problem, entry.first, "Write fewer of them into each other.") from None
         except ProgramError as cause:
             keeps_branches = cell.krl.keep_unresolved
-            culprits = _uncorrectable_parts(cause, library, keeps_branches=keeps_branches) - obstacles.keys()
-            if not culprits:
+            new_obstacles = _obstacles_of(cause, library, keeps_branches=keeps_branches) - obstacles.keys()
+            if not new_obstacles:
                 raise
-            obstacles |= {culprit: _error_of_culprit(cause, culprit) for culprit in culprits}
+            obstacles |= {obstacle: _error_of_obstacle(cause, obstacle) for obstacle in new_obstacles}
 
 
 class _Reading(Struct, frozen=True, eq=False):
@@ -140,7 +140,7 @@ class _Reading(Struct, frozen=True, eq=False):
 
     :param library: finds the routines that the program calls.
     :param entry: the main routine.
-    :param faults: errors in the bounds of routines.
+    :param routine_faults: errors in the bounds of routines, such as DEF without END.
     :param code: text of all lines of the main file that are not plain.
     """
 
@@ -150,16 +150,16 @@ class _Reading(Struct, frozen=True, eq=False):
     name: str
     library: Library
     entry: Routine
-    faults: list[ProgramError]
+    routine_faults: list[ProgramError]
     code: str
 
     def follow(
         self, plain_lines: PlainLines, obstacles: Mapping[Routine | ForkVisit, ProgramError], *, bulk: bool
     ) -> _ExecutedProgram:
-        """Follow the program, and read its motions.
+        """Follow the program line by line in the order of execution, and read its motions.
 
         :param plain_lines: plain lines of the `.src`; their motions are emptied.
-        :param obstacles: routines and visits to forks that are not followed, each with the reason.
+        :param obstacles: routines, and visits to forks, that are not followed, each with the reason.
         :param bulk: False to read plain lines one by one.
         :raises ProgramError: something that changes motion is not understood or not known before the program runs.
         """
@@ -167,35 +167,36 @@ class _Reading(Struct, frozen=True, eq=False):
         variables = self._initial_variables()
         start = Start(self.library, self.entry, obstacles, variables=variables, cell=self.cell, joints=joints)
         execution, collected_motions = execution_of(start)
-        if not execution.is_straight:
+        if not execution.is_straight:  # from lines of files to rows of the execution trace
             plain_lines = plain_rows_of_trace(execution.trace, {self.entry.source: plain_lines}, bulk=bulk)
-        if collected_motions is None or self.faults:
-            main = MainRoutine(start.new_collection(execution.trace), execution, plain_lines)
-            self._run_statements(main, plain_lines)
+        # None: the motions have not been collected while the trace was recorded
+        if collected_motions is None or self.routine_faults:
+            follower = TraceFollower(start.new_collection(execution.trace), execution, plain_lines)
+            self._run_statements(follower, plain_lines)
         else:
-            main = MainRoutine(collected_motions, execution, plain_lines)
+            follower = TraceFollower(collected_motions, execution, plain_lines)
         if not self.cell.krl.keep_unresolved:
-            refuse_routines_with_force_comments(main.run)
-        plain_lines = self._executed_lines(main, plain_lines)
-        change_places = kept_values(main)
-        # the list is emptied: a second run needs its own
-        parts = [*plain_lines.motions] if change_places else plain_lines.motions
-        sequence = ordered_motions(main, parts)
-        data_issues = list(changed_data_issues(main, change_places, sequence, plain_lines, joints))
-        return _ExecutedProgram(start, main, without_unresolved(main, sequence), data_issues)
+            refuse_routines_with_force_comments(follower.run)
+        plain_lines = self._executed_lines(follower, plain_lines)
+        change_places = kept_values(follower)
+        # variables keep changed values: the next run is followed too, and needs its own list, since this one is emptied
+        plain_motions = [*plain_lines.motions] if change_places else plain_lines.motions
+        sequence = ordered_motions(follower, plain_motions)
+        data_issues = list(changed_data_issues(follower, change_places, sequence, plain_lines, joints))
+        return _ExecutedProgram(start, follower, without_unresolved(follower, sequence), data_issues)
 
-    def _run_statements(self, main: MainRoutine, plain_lines: PlainLines) -> None:
+    def _run_statements(self, follower: TraceFollower, plain_lines: PlainLines) -> None:
         """Run the statements along the complete trace.
 
         :param plain_lines: the plain lines; their motions are emptied if statements have errors.
         :raises ProgramError: all errors in the statements, and of motions that depend on unknown settings.
         """
         try:
-            main.follow(self.faults)
+            follower.follow(self.routine_faults)
         except RecursionError:
             problem = "calls, control structures and brackets are nested too deeply"
             advice = "Write fewer of them into each other."
-            raise main.run.trace.error(problem, main.run.row, advice) from None
+            raise follower.run.trace.error(problem, follower.run.row, advice) from None
         except ProgramError as cause:
             # under `--keep-unresolved` unknown settings are no errors; the other two errors end the run early
             if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
@@ -204,20 +205,20 @@ class _Reading(Struct, frozen=True, eq=False):
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
             setting_faults = [
                 fault
-                for fault in setting_errors(main, plain_lines.motions)
+                for fault in setting_errors(follower, plain_lines.motions)
                 if (fault.file, fault.line, fault.problem) not in fault_keys
             ]
             if not setting_faults:
                 raise
             raise combined_error([*faults, *setting_faults]) from None
 
-    def _executed_lines(self, main: MainRoutine, plain_lines: PlainLines) -> PlainLines:
+    def _executed_lines(self, follower: TraceFollower, plain_lines: PlainLines) -> PlainLines:
         """Return the plain lines without motions that do not run.
 
         :raises ProgramError: the program has no motion that runs.
         """
-        is_executed = main.executed_motions(plain_lines.motion_lines)
-        has_statements = bool(len(main.motions) or main.rounds or main.run.unresolved_motions)
+        is_executed = follower.executed_motions(plain_lines.motion_lines)
+        has_statements = bool(len(follower.motions) or follower.rounds or follower.run.unresolved_motions)
         if not is_executed.any() and not has_statements:
             raise ProgramError(
                 "there are no motions", file=self.documents[0].name, advice="Check that this is the program."
@@ -232,21 +233,22 @@ class _Reading(Struct, frozen=True, eq=False):
         """Return the program with its motions and the layout of its text.
 
         :param executed_program: the program with its ordered motions.
-        :raises ProgramError: motions cannot be corrected where branches meet or rounds repeat, a target is not certain,
-            or a coordinate is out of reach.
+        :raises ProgramError: motions end in different poses where branches meet or a LOOP without EXIT begins its next
+            round, a target is not known before run time, or a coordinate is out of reach.
         """
-        main, separation = executed_program.main, executed_program.separation
-        run, execution, sequence = main.run, main.execution, separation.sequence
-        order = self._motion_order(main, separation)
+        follower, separation = executed_program.follower, executed_program.separation
+        run, execution = follower.run, follower.execution
+        sequence = separation.sequence  # the motions that can be corrected
+        order = self._motion_order(follower, separation)
         _check_size(execution.trace, sequence.columns)
-        _check_starts(main, sequence)
+        _check_starts(follower, sequence)
         motions, layout, assumptions = motions_and_layout(
-            main, sequence, self.cell.start_joints, self.kinematics, order.predecessors
+            follower, sequence, self.cell.start_joints, self.kinematics, order.predecessors
         )
         issues = list(_program_issues(executed_program, layout, assumptions))
         path = _frames_and_start(run.settings, self.kinematics(self.cell.start_joints))
-        joined_ends = _checked_ends(main, order, motions, layout, path)
-        documents, needed_files = self._program_files(main)
+        joined_ends = _checked_ends(follower, order, motions, layout, path)
+        documents, needed_files = self._program_files(follower)
         return Program(
             name=self.name,
             dialect="krl",
@@ -257,17 +259,17 @@ class _Reading(Struct, frozen=True, eq=False):
             tool_keys=_tool_keys(run.settings),
             events=(*remarks(execution, layout.trace_row), *self._waits(run, execution, layout.trace_row)),
             notes=tuple(note for _, note in order.notes),
-            still=execution.trace.reported_lines[distinct(np.array(main.idle_rows, dtype=np.int64)) - 1],
+            still=_reported_lines(execution.trace, follower.idle_rows),
             issues=tuple(issues),
             carriage=layout.carriage,
-            turns_with_path=layout.turns_with_path if layout.turns_with_path.any() else None,
-            is_wrist_led=layout.is_wrist_led if layout.is_wrist_led.any() else None,
+            turns_with_path=_none_if_all_false(layout.turns_with_path),
+            is_wrist_led=_none_if_all_false(layout.is_wrist_led),
             turn_speeds=stated_turn_speeds(sequence.numbers),
             after=order.predecessors,
             joins=joined_ends,
             branches=branch_spans(execution, sequence.columns.trace_row),
             transitions=transitions(
-                execution, layout.trace_row, order.predecessors, order.uncorrected_lines, order.unchecked_joins
+                execution, layout.trace_row, order.predecessors, order.uncorrected_rows, order.unchecked_joins
             ),
             unresolved=separation.unresolved,
             unfollowed=() if self.cell.krl.keep_unresolved else unfollowed_calls(run),
@@ -285,15 +287,15 @@ class _Reading(Struct, frozen=True, eq=False):
         for row, motion in motions_before(execution, line, kept_lines, times) if times else ():
             yield Event(before=motion + 1, kind="dwell", line=execution.trace.reported_line(row), value=times[row])
 
-    def _motion_order(self, main: MainRoutine, separation: SeparatedMotions) -> _MotionOrder:
+    def _motion_order(self, follower: TraceFollower, separation: SeparatedMotions) -> _MotionOrder:
         """Return which motions of a program follow each other, and under which force comments.
 
         :param separation: the motions that are corrected.
         :raises ProgramError: the force on a motion is not known, or an unfollowed routine is called under force.
         :raises BranchError: a motion in or after a branch depends on more than its start pose.
         """
-        run, execution, sequence = main.run, main.execution, separation.sequence
-        # E1 must be in one position at each join
+        run, execution, sequence = follower.run, follower.execution, separation.sequence
+        # on a linear axis no join is unchecked: E1 must be in one position at each join
         unchecked_joins = (
             frozenset() if self.cell.carriage is not None else joins_before_joint_targets(execution, sequence)
         )
@@ -306,26 +308,29 @@ class _Reading(Struct, frozen=True, eq=False):
         )
         if not self.cell.krl.keep_unresolved:
             refuse_routines_under_force(run, notes)
-        uncorrected_lines = [line for line, _ in run.unresolved_motions]
+        uncorrected_rows = [line for line, _ in run.unresolved_motions]
         predecessors, joins = predecessors_and_joins(
-            execution, sequence, separation.predecessors, uncorrected_lines, unchecked_joins
+            execution, sequence, separation.predecessors, uncorrected_rows, unchecked_joins
         )
-        return _MotionOrder(notes, predecessors, joins, unchecked_joins, uncorrected_lines)
+        return _MotionOrder(notes, predecessors, joins, unchecked_joins, uncorrected_rows)
 
-    def _program_files(self, main: MainRoutine) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
-        """Return the files that are written: of the program and of inlined routines; and other files that it needs."""
+    def _program_files(self, follower: TraceFollower) -> tuple[tuple[Document, ...], tuple[NeededFile, ...]]:
+        """Return the files that are written, and the other files that the program needs.
+
+        Written are those of the program, and those of routines that are in the execution trace (inlined).
+        """
         library = self.library
-        first = self.documents[0]
-        program_documents = (d for d in self.documents if d.name == first.name or _is_data_of(d, first))
-        documents = *program_documents, *main.execution.files
-        inlined_files = {document.name for document in main.execution.files}
+        program = self.documents[0]
+        program_documents = (d for d in self.documents if d.name == program.name or _is_data_of(d, program))
+        documents = *program_documents, *follower.execution.files
+        inlined_files = {document.name for document in follower.execution.files}
         inlined_modules = (module for module in library.read_modules() if module.source.document.name in inlined_files)
         modules = self._module_with_data(library.program), *inlined_modules
         code = (code for module in modules for code in codes_of(module))
         moving_files = {
             module.source.document.name.upper()
             for module, routine in library.called_routines()
-            if main.run.analysis.effects_of(module, routine).motion
+            if follower.run.analysis.effects_of(module, routine).motion
         }
         return documents, find_needed_files(documents, code, library.files, moving_files)
 
@@ -366,49 +371,49 @@ class _Reading(Struct, frozen=True, eq=False):
 class _MotionOrder(NamedTuple):
     """Which of M motions follow each other, and under which force.
 
-    :ivar notes: force comments, each with its line of the trace.
+    :ivar notes: force comments, each with its row of the trace.
     :ivar predecessors: (M,) the motion at whose end each begins, see `Program.after`; None: the motion before it.
     :ivar joins: control-flow joins at which branches must end in one pose.
     :ivar unchecked_joins: control-flow joins at which branches may end in different poses.
-    :ivar uncorrected_lines: lines of the trace with uncorrected motions.
+    :ivar uncorrected_rows: rows of the trace with uncorrected motions.
     """
 
     notes: list[tuple[int, ForceNote]]
     predecessors: Ints | None
     joins: list[JoinedEnds]
     unchecked_joins: frozenset[Join]
-    uncorrected_lines: list[int]
+    uncorrected_rows: list[int]
 
 
 def _checked_ends(
-    main: MainRoutine, order: _MotionOrder, motions: Motions, layout: Layout, path: FramesAndStart
+    follower: TraceFollower, order: _MotionOrder, motions: Motions, layout: Layout, path: FramesAndStart
 ) -> tuple[tuple[int, ...], ...]:
     """Return the groups of motions that end in one pose: before each join, and before a round of a LOOP without EXIT.
 
     :param path: frames of the program and flange at its start.
     :raises ProgramError: motions of a group end in different poses, or a round ends with other settings than it began.
     """
-    execution = main.execution
+    execution = follower.execution
     check_joins(execution, order.joins, motions, layout.carriage, path)
     ends = tuple(join.ends for join in order.joins)
     if (loop := execution.endless_loop) is None:
         return ends
     rounds = endless_rounds(loop, layout, motions, path, order.predecessors)
-    check_endless_loop(execution, rounds, main.run.settings)
+    check_endless_loop(execution, rounds, follower.run.settings)
     return (*ends, *rounds.joined_ends())
 
 
 class _ExecutedProgram(Struct, frozen=True, eq=False):
-    """A program whose statements have run.
+    """A program that has been followed.
 
-    :param start: what the run began with.
-    :param main: has followed the program.
+    :param start: what it began with.
+    :param follower: has followed its statements.
     :param separation: the motions, separated by whether they can be corrected.
     :param data_issues: warnings that the next run moves differently.
     """
 
     start: Start
-    main: MainRoutine
+    follower: TraceFollower
     separation: SeparatedMotions
     data_issues: list[Issue]
 
@@ -422,12 +427,12 @@ def _program_issues(
     :param assumptions: issues about assumptions on its motions.
     :raises ProgramError: a called program is known to move the robot by a sensor.
     """
-    main, separation = executed_program.main, executed_program.separation
-    yield from (*main.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
-    yield from issues_of(main, separation.sequence.motion_states, separation.sequence.columns, layout)
+    follower, separation = executed_program.follower, executed_program.separation
+    yield from (*follower.run.issues, *separation.issues, *assumptions, *executed_program.data_issues)
+    yield from issues_of(follower, separation.sequence.motion_states, separation.sequence.columns, layout)
     yield from _cell_value_issues(executed_program)
-    if main.execution.endless_loop is not None:
-        yield endless_loop_issue(main.execution)
+    if follower.execution.endless_loop is not None:
+        yield endless_loop_issue(follower.execution)
 
 
 def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart:
@@ -438,6 +443,16 @@ def _frames_and_start(settings: Settings, start_flange: Array) -> FramesAndStart
     return FramesAndStart(np.stack(settings.frames.bases), np.stack(settings.frames.tools), start_flange)
 
 
+def _reported_lines(trace: Trace, rows: Sequence[int]) -> Ints:
+    """Return the lines of the `.src` to report for rows of the trace, from 1; each row once, ascending."""
+    return trace.reported_lines[distinct(np.array(rows, dtype=np.int64)) - 1]
+
+
+def _none_if_all_false(flags: Bools) -> Bools | None:
+    """Return the flags (M,) of motions; None, which takes no memory, if they are False throughout."""
+    return flags if flags.any() else None
+
+
 def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
     """Return `Program.tool_keys`: for each tool frame of a program the numbers n of its `TOOL_DATA[n]`, as text."""
     numbers = settings.frames.tool_numbers
@@ -446,10 +461,10 @@ def _tool_keys(settings: Settings) -> tuple[tuple[str, ...], ...]:
 
 def _cell_value_issues(executed_program: _ExecutedProgram) -> Iterator[Issue]:
     """Yield an issue if the home position is that of the cell, and one if values of [krl.values] have been read."""
-    main, start = executed_program.main, executed_program.start
-    if main.reader.home_motion_row:
+    follower, start = executed_program.follower, executed_program.start
+    if follower.reader.home_motion_row:
         message = "The home position is in no file of the program: the joints of [start] in the cell are taken for it."
-        line = main.execution.trace.reported_line(main.reader.home_motion_row)
+        line = follower.execution.trace.reported_line(follower.reader.home_motion_row)
         yield Issue("info", "home-from-cell", message, line)
     if relied_names := start.variables.used_cell_values:
         cell_values = start.cell.krl.values
@@ -463,20 +478,21 @@ def _is_data_of(data: Document, source: Document) -> bool:
     return PurePath(data.name).suffix.upper() == ".DAT" and data.name[:-4].upper() == PurePath(source.name).stem.upper()
 
 
-def _uncorrectable_parts(
-    cause: ProgramError, library: Library, *, keeps_branches: bool
-) -> frozenset[Routine | ForkVisit]:
+def _obstacles_of(cause: ProgramError, library: Library, *, keeps_branches: bool) -> frozenset[Routine | ForkVisit]:
     """Return the routines of other files, or the visits to forks, that are left uncorrected because of an error.
+
+    A fork is an IF or SWITCH whose branch taken is not known before run time. In a loop, each iteration visits it anew.
 
     :param keeps_branches: True if motions in branches may be left uncorrected (`--keep-unresolved`).
     :returns: empty if the error is in the program itself, which is then refused.
     """
     if isinstance(cause, BranchError) and keeps_branches:
         return cause.fork_visits
-    if isinstance(cause, InexactError) and cause.routine is not None:
-        return frozenset({cause.routine} if cause.routine.source is not library.program.source else ())
+    if isinstance(cause, InexactError) and cause.routine is not None:  # a call that cannot be followed
+        is_in_program = cause.routine.source is library.program.source
+        return frozenset(() if is_in_program else {cause.routine})
     files = {error.file for error in (cause, *cause.further_errors)}
-    # all routines of other files with errors
+    # an error in another file may be in any of its routines, or between them: all of them are left uncorrected
     return frozenset(
         routine
         for module in library.read_modules()
@@ -485,17 +501,16 @@ def _uncorrectable_parts(
     )
 
 
-def _error_of_culprit(cause: ProgramError, culprit: Routine | ForkVisit) -> ProgramError:
-    """Return the first error that is in the file of a routine: `cause` or one of its `further_errors`.
+def _error_of_obstacle(cause: ProgramError, obstacle: Routine | ForkVisit) -> ProgramError:
+    """Return why a routine, or a visit to a fork, is not followed: the first error in the file of the routine.
 
-    :param culprit: the routine; or a visit to a fork.
+    :param cause: the error that ended the reading; others are its `further_errors`.
     :returns: `cause` itself for a fork, and if no error is in that file.
     """
+    if not isinstance(obstacle, Routine):
+        return cause
     errors = [error for error in (cause, *cause.further_errors) if isinstance(error, ProgramError)]
-    errors_in_file = [
-        error for error in errors if isinstance(culprit, Routine) and error.file == culprit.source.document.name
-    ]
-    return errors_in_file[0] if errors_in_file else cause
+    return next((error for error in errors if error.file == obstacle.source.document.name), cause)
 
 
 def _config_source(cell: Cell, path: str) -> Source:
@@ -519,12 +534,12 @@ class _MainRoutine(NamedTuple):
 
     :ivar module: the file with all its routines.
     :ivar routine: the routine with the name of the program; if there is none, the first routine.
-    :ivar faults: errors in the bounds of routines.
+    :ivar routine_faults: errors in the bounds of routines, such as DEF without END.
     """
 
     module: Module
     routine: Routine
-    faults: list[ProgramError]
+    routine_faults: list[ProgramError]
 
 
 def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRoutine:
@@ -539,14 +554,14 @@ def _main_routine(source: Source, plain_lines: PlainLines, name: str) -> _MainRo
         source, other_lines.tolist(), plain_lines.motion_lines, plain_lines.settings.line.tolist()
     )
     module = Module(source, by_name)
-    main = module.main_routine(name)
-    if main is None and faults:
+    routine = module.main_routine(name)
+    if routine is None and faults:
         raise combined_error(faults)
-    if main is None:
+    if routine is None:
         raise ProgramError(
             "there is no DEF", file=source.document.name, line=1, advice="Check that this is a KRL program."
         )
-    return _MainRoutine(module, main, faults)
+    return _MainRoutine(module, routine, faults)
 
 
 def _folders(document: Document, cell: Cell) -> list[Path]:
@@ -570,21 +585,22 @@ def _check_size(trace: Trace, columns: MotionColumns) -> None:
         raise out_of_reach_error(trace.place(int(columns.trace_row[row])), largest)
 
 
-def _check_starts(main: MainRoutine, sequence: OrderedMotions) -> None:
+def _check_starts(follower: TraceFollower, sequence: OrderedMotions) -> None:
     """Refuse motions that depend on their start pose, if that is not known.
 
     The next motion behind a call that RESUME may break off must not depend on its start. The next motion behind a call
-    that moves the robot and is not followed must be a PTP to joint angles.
+    that moves the robot and is not followed must be a PTP to joint angles: no other leads the arm to one configuration.
 
     :raises ProgramError: there is such a motion.
     """
-    if main.run.keeps_unresolved:
+    if follower.run.keeps_unresolved:
         return  # such motions have been left out as uncorrected
-    for line, reason in main.run.interruptible_calls:
-        row = int(np.searchsorted(sequence.columns.trace_row, line))  # the next motion
-        if row < len(sequence.columns) and depends_on_start(sequence, row):
+    trace_row = sequence.columns.trace_row
+    for call_row, reason in follower.run.interruptible_calls:
+        motion = int(np.searchsorted(trace_row, call_row))  # the next motion
+        if motion < len(trace_row) and depends_on_start(sequence, motion):
             raise reason
-    for call in main.run.untraced_calls:
-        row = int(np.searchsorted(sequence.columns.trace_row, call.row))  # the next motion
-        if row < len(sequence.columns) and not is_ptp_to_joints(sequence, row):
+    for call in follower.run.untraced_calls:
+        motion = int(np.searchsorted(trace_row, call.row))  # the next motion
+        if motion < len(trace_row) and not is_ptp_to_joints(sequence, motion):
             raise call.reason

@@ -1,5 +1,8 @@
 """Motions left uncorrected: their target, or whether they run, is not known before run time, or other robots may
 move in time with them.
+
+Rows are those of the execution trace: the lines of the program in the order in which they are executed. A motion is
+given by its index among the motions of the program.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from postproc.dialects.krl.language.source import Source
 from postproc.dialects.krl.language.tree import CallStatement, Event, Motion
 from postproc.dialects.krl.language.values import Call, Reference, Word, walk
 from postproc.dialects.krl.layout import CONSTANT
-from postproc.dialects.krl.read.main_routine import MainRoutine
+from postproc.dialects.krl.read.main_routine import TraceFollower
 from postproc.dialects.krl.read.motion_reader import ROBOT_POSITIONS, depends_on_position
 from postproc.dialects.krl.read.motions import OrderedMotions, uncertain_motions
 from postproc.dialects.krl.read.variables import PARTLY_GIVEN
@@ -27,9 +30,9 @@ from postproc.program import CIRC, PTP, SPL, Bools, Ints, UnresolvedMotion, dist
 
 _WAIT_WORD = "#PROGSYNC"
 """First argument of a SYNCCMD at which the programs of the robots only wait for each other."""
-_OTHER_WORD = "?"
-"""Stands for a SYNCCMD whose first argument is no word."""
-_PIECE_LENGTH = 1_000_000
+_OTHER_SYNC = "?"
+"""Stands for the word of a line that synchronises robots by other means than SYNCCMD with a word."""
+_SEARCH_LENGTH = 1_000_000
 """Characters of a text that are searched at once."""
 _SYNC_ADVICE = (
     "Motions before the first SYNCCMD of a program and behind the last are corrected; --keep-unresolved leaves those "
@@ -59,75 +62,79 @@ class SeparatedMotions(Struct, frozen=True, eq=False):
     issues: tuple[Issue, ...] = ()
 
 
-def without_unresolved(main: MainRoutine, sequence: OrderedMotions) -> SeparatedMotions:
+def without_unresolved(follower: TraceFollower, sequence: OrderedMotions) -> SeparatedMotions:
     """Separate the motions that stay uncorrected under `--keep-unresolved` from those that can be corrected.
 
-    A motion behind an uncorrected one, or behind a call that is not followed, has an unknown start. If it depends on
-    that, it stays uncorrected too.
+    A motion behind an uncorrected one, or behind a call that is not followed, begins in a pose that is not known. If
+    its path depends on that pose, it stays uncorrected too.
 
     :param sequence: the motions of the program whose targets are known.
     :raises ProgramError: no motion can be corrected; or, without that option, a motion is synchronised with another
         robot.
     """
-    run, columns = main.run, sequence.columns
-    sync_motions = list(_synchronised_motions(main, columns.trace_row))
+    run, columns = follower.run, sequence.columns
+    sync_motions = list(_synchronised_motions(follower, columns.trace_row))
     if sync_motions and not run.keeps_unresolved:
         _, error = sync_motions[0]
         raise error
     unknown_motions = list(uncertain_motions(run.settings, sequence)) if run.keeps_unresolved else []
     reasons = dict(run.unresolved_motions)
     is_dropped = np.zeros(len(columns), dtype=np.bool_)
-    for row, reason in (*unknown_motions, *sync_motions):
-        reasons[int(columns.trace_row[row])] = reason
-        is_dropped[row] = True
-    # without the option, motions that depend on such calls are refused later
-    stop_lines = [line for line, _ in run.interruptible_calls] if run.keeps_unresolved else []
-    if not reasons and not run.untraced_calls and not stop_lines:
+    for motion, reason in (*unknown_motions, *sync_motions):
+        reasons[int(columns.trace_row[motion])] = reason
+        is_dropped[motion] = True
+    # calls that RESUME may break off; without the option, motions that depend on them are refused later
+    interruptible_rows = [row for row, _ in run.interruptible_calls] if run.keeps_unresolved else []
+    if not reasons and not run.untraced_calls and not interruptible_rows:
         return SeparatedMotions(sequence)
-    gap_lines = sorted({*reasons, *(call.row for call in run.untraced_calls), *stop_lines})
-    open_rows = _drop_dependent_motions(main, sequence, gap_lines, is_dropped, reasons)
+    unknown_pose_rows = sorted({*reasons, *(call.row for call in run.untraced_calls), *interruptible_rows})
+    open_motions = _drop_dependent_motions(follower, sequence, unknown_pose_rows, is_dropped, reasons)
     if is_dropped.all():
-        raise reasons[min(reasons)]  # the reason of the first line
+        raise reasons[min(reasons)]  # the reason of the first row
     # the use of a point by an uncorrected motion is not followed: the point must keep its value
-    for row in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():
-        move = sequence.moves[row]
+    for motion in sequence.moves.keys() & np.flatnonzero(is_dropped).tolist():
+        move = sequence.moves[motion]
         run.followed_names -= {(move.trace_row, point.start) for point in (move.end, move.via) if point is not None}
     corrected_motions = _without_rows(sequence, is_dropped)
-    new_row = np.cumsum(~is_dropped) - 1  # row of each corrected motion among the corrected ones
-    begins = [int(new_row[row]) for row in sorted(open_rows) if row < len(columns)]
+    new_index = np.cumsum(~is_dropped) - 1  # index of each corrected motion among the corrected ones
+    begins = [int(new_index[motion]) for motion in sorted(open_motions) if motion < len(columns)]
     predecessors = np.arange(len(corrected_motions.columns)) - 1
     predecessors[begins] = begins  # the motion itself: its start is not known
-    unresolved, issues = _report_unresolved(main, reasons)
+    unresolved, issues = _report_unresolved(follower, reasons)
     return SeparatedMotions(
-        corrected_motions, predecessors, unresolved, (*issues, *_open_start_warnings(main, corrected_motions, begins))
+        corrected_motions,
+        predecessors,
+        unresolved,
+        (*issues, *_open_start_warnings(follower, corrected_motions, begins)),
     )
 
 
 def _drop_dependent_motions(
-    main: MainRoutine,
+    follower: TraceFollower,
     sequence: OrderedMotions,
-    gap_lines: Sequence[int],
+    unknown_pose_rows: Sequence[int],
     is_dropped: Bools,
     reasons: dict[int, ProgramError],
 ) -> set[int]:
-    """Drop the motions that depend on an unknown start, and return the rows of motions with an unknown start that stay.
+    """Drop the motions whose path depends on an unknown start pose, one after the other.
 
-    The latter do not depend on their start. A returned row may be behind the last motion.
-
-    :param gap_lines: lines of the trace after which the robot position is not known.
+    :param unknown_pose_rows: rows of the trace after which the robot pose is not known.
     :param is_dropped: (M,) True for motions that stay uncorrected; set to True for dropped motions.
-    :param reasons: line of the trace → why its motion stays uncorrected; dropped motions are added.
+    :param reasons: row of the trace → why its motion stays uncorrected; dropped motions are added.
+    :returns: the first motion behind each such row that is corrected all the same, because its path does not depend on
+        its start pose; M if there is none.
     """
-    columns, open_rows = sequence.columns, set[int]()
-    for line in gap_lines:
-        row = int(np.searchsorted(columns.trace_row, line, side="right"))  # the next motion
-        while row < len(columns) and (is_dropped[row] or depends_on_start(sequence, row)):
-            if not is_dropped[row]:
-                reasons[int(columns.trace_row[row])] = main.run.trace.error(_UNKNOWN_START, int(columns.trace_row[row]))
-            is_dropped[row] = True
-            row += 1
-        open_rows.add(row)
-    return open_rows
+    columns, open_motions = sequence.columns, set[int]()
+    for pose_row in unknown_pose_rows:
+        motion = int(np.searchsorted(columns.trace_row, pose_row, side="right"))  # the next motion
+        while motion < len(columns) and (is_dropped[motion] or depends_on_start(sequence, motion)):
+            if not is_dropped[motion]:
+                row = int(columns.trace_row[motion])
+                reasons[row] = follower.run.trace.error(_UNKNOWN_START, row)
+            is_dropped[motion] = True
+            motion += 1
+        open_motions.add(motion)
+    return open_motions
 
 
 def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions:
@@ -136,25 +143,25 @@ def _without_rows(sequence: OrderedMotions, is_dropped: Bools) -> OrderedMotions
     :param is_dropped: (M,) True for motions that are dropped.
     """
     is_kept = ~is_dropped
-    new_row = np.cumsum(is_kept) - 1  # row of each kept motion among the kept ones
+    new_index = np.cumsum(is_kept) - 1  # index of each kept motion among the kept ones
     return OrderedMotions(
         columns=sequence.columns.take(is_kept),
         motion_states=sequence.motion_states.take(is_kept),
         numbers=sequence.numbers.of_rows(is_kept),
-        moves={int(new_row[row]): move for row, move in sequence.moves.items() if is_kept[row]},
+        moves={int(new_index[motion]): move for motion, move in sequence.moves.items() if is_kept[motion]},
     )
 
 
-def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, ProgramError]]:
-    """Yield the motions during which another robot may move in time with this robot: the row of each, and its error.
+def _synchronised_motions(follower: TraceFollower, trace_row: Ints) -> Iterator[tuple[int, ProgramError]]:
+    """Yield the motions during which another robot may move in time with this robot: the index of each, and its error.
 
     These are the motions between two SYNCCMD. `SYNCCMD(#PROGSYNC, …)` only lets the programs of the robots wait for
     each other: behind the last of these each robot goes on alone. Any other SYNCCMD, also in a called routine, is taken
     to hold to the end of the program (KUKA.RoboTeam; its manual is not public).
 
-    :param line: (R,) lines of the motions in the trace.
+    :param trace_row: (M,) rows of the motions in the trace.
     """
-    trace, sync_lines = main.run.trace, _sync_lines(main)
+    trace, sync_lines = follower.run.trace, _sync_lines(follower)
     if not sync_lines:
         return
     # between two lines, and behind the last one unless the programs only wait there
@@ -166,13 +173,14 @@ def _synchronised_motions(main: MainRoutine, line: Ints) -> Iterator[tuple[int, 
     if not last.only_waits:
         sections.append((last.row, len(trace) + 1, f"behind SYNCCMD ({trace.place(last.row)})"))
     for begin, end, section_text in sections:
-        for row in np.flatnonzero((line > begin) & (line <= end)).tolist():  # `end` may be the motion before a LOOP
+        # row `end` counts: the row before a LOOP, see `_sync_lines`, may be a motion
+        for motion in np.flatnonzero((trace_row > begin) & (trace_row <= end)).tolist():
             problem = f"the motion is {section_text}: another robot may move in time with it"
-            yield row, trace.error(problem, int(line[row]), _SYNC_ADVICE)
+            yield motion, trace.error(problem, int(trace_row[motion]), _SYNC_ADVICE)
 
 
 class _SyncLine(NamedTuple):
-    """A line that synchronises robots.
+    """A line of the trace that synchronises robots.
 
     :ivar row: row of the trace.
     :ivar only_waits: True if the programs of the robots only wait for each other there.
@@ -182,15 +190,15 @@ class _SyncLine(NamedTuple):
     only_waits: bool
 
 
-def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
+def _sync_lines(follower: TraceFollower) -> list[_SyncLine]:
     """Return the lines of the trace that synchronise robots, in order.
 
     If a LOOP without EXIT contains such lines, the lines before and behind its round are returned too.
 
     :returns: empty if no file that has been read synchronises robots.
     """
-    execution, trace = main.execution, main.execution.trace
-    if (words := _sync_words(main)) is None:
+    execution, trace = follower.execution, follower.execution.trace
+    if (words := _sync_words(follower)) is None:
         return []
     entry_rows = {step.row for step in execution.steps if isinstance(step, RoutineEntry)}
     sync_lines = []
@@ -198,7 +206,7 @@ def _sync_lines(main: MainRoutine) -> list[_SyncLine]:
         # rows that set the counter of a FOR are no lines of the file
         if not trace.is_counter_row[row - 1] and (execution.may_run is None or execution.may_run[row - 1]):
             word = _sync_word(*trace.place(row), words.names, is_entered=row in entry_rows)
-            if word:
+            if word:  # else the line does not synchronise robots
                 only_waits = not words.may_run_later and (words.only_wait or word == _WAIT_WORD)
                 sync_lines.append(_SyncLine(row, only_waits))
     loop = execution.endless_loop
@@ -222,9 +230,9 @@ class _SyncWords(NamedTuple):
     may_run_later: bool
 
 
-def _sync_words(main: MainRoutine) -> _SyncWords | None:
+def _sync_words(follower: TraceFollower) -> _SyncWords | None:
     """Return how the files of a program synchronise robots; None if no file that has been read does."""
-    run = main.run
+    run = follower.run
     modules = [run.library.program, *run.library.read_modules()]
     if not any(_synchronises(module.source.text) for module in modules):
         return None
@@ -250,16 +258,16 @@ def _sync_words(main: MainRoutine) -> _SyncWords | None:
     )
 
 
-def _synchronises(text: str, size: int = _PIECE_LENGTH) -> bool:
+def _synchronises(text: str, size: int = _SEARCH_LENGTH) -> bool:
     """Return whether a text has one of the words that synchronise robots, also in comments and strings.
 
     :param size: number of characters that are searched at once.
     """
-    # pieces overlap by the length of a word
-    pieces = (
+    # sections overlap by the length of a word
+    sections = (
         text[offset : offset + size + max(map(len, SYNCHRONISING))].upper() for offset in range(0, len(text), size)
     )
-    return any(name in piece for piece in pieces for name in SYNCHRONISING)
+    return any(name in section for section in sections for name in SYNCHRONISING)
 
 
 def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_entered: bool = False) -> str:
@@ -268,7 +276,7 @@ def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_ent
     :param names: names of the routines that synchronise robots: a line that names one of them synchronises too.
     :param is_entered: True if the statements of the called routine are in the trace themselves; then the call does not
         count, but its arguments do.
-    :returns: empty if the line does not synchronise robots. `_OTHER_WORD` if it does so otherwise than by SYNCCMD with
+    :returns: empty if the line does not synchronise robots. `_OTHER_SYNC` if it does so otherwise than by SYNCCMD with
         a word, or cannot be read.
     """
     start, stop = source.code_span(line)
@@ -279,82 +287,83 @@ def _sync_word(source: Source, line: int, names: Collection[str] = (), *, is_ent
         values = stmt.call.arguments if is_entered and isinstance(stmt, CallStatement) else stmt.values
         references = [part for part in walk(values) if isinstance(part, Call | Reference)]
     except ProgramError:
-        return _OTHER_WORD
+        return _OTHER_SYNC
     if all(part.name not in SYNCHRONISING and part.name not in names for part in references):
         return ""
     call = stmt.call if isinstance(stmt, CallStatement) and stmt.call.name in SYNCHRONISING else None
     argument = call.arguments[0] if call is not None and call.arguments else None
-    return argument.text if isinstance(argument, Word) else _OTHER_WORD
+    return argument.text if isinstance(argument, Word) else _OTHER_SYNC
 
 
-def depends_on_start(sequence: OrderedMotions, row: int, *, arcs: bool = True) -> bool:
+def depends_on_start(sequence: OrderedMotions, motion: int, *, arcs: bool = True) -> bool:
     """Return whether the target of a motion, or the shape of its arc, depends on where the motion begins.
 
-    True under #CONSTANT, for circles, SPL and relative motions, and if the target lacks components.
+    True under #CONSTANT, which keeps the orientation of the start, for circles, SPL and relative motions, and if the
+    target lacks components, which keep their previous value.
 
-    :param row: row of the motion.
     :param arcs: False to disregard the shape of arcs: circles with complete points and without CA do not count then.
     """
-    move = sequence.moves.get(row)
-    if sequence.columns.kind[row] != PTP and sequence.motion_states.at(row).orientation == CONSTANT:
+    kind = sequence.columns.kind[motion]
+    keeps_orientation = kind != PTP and sequence.motion_states.at(motion).orientation == CONSTANT
+    if keeps_orientation or kind == SPL or (arcs and kind == CIRC):
         return True
-    if move is not None and (move.is_via_incomplete or move.angle is not None):
-        return True
-    kind = sequence.columns.kind[row]
-    if (arcs and kind == CIRC) or kind == SPL or (move is not None and bool(move.relative_axes)):
-        return True
-    if move is not None:
-        return not move.end.position.is_complete
-    return bool(np.isnan(sequence.columns.numbers[row]).any())
+    move = sequence.moves.get(motion)
+    if move is None:  # a plain motion: only its target may lack components
+        return bool(np.isnan(sequence.columns.numbers[motion]).any())
+    has_circular_angle = move.angle is not None  # CA: the arc begins at the start and turns by this angle
+    is_relative = bool(move.relative_axes)
+    return has_circular_angle or is_relative or move.is_via_incomplete or not move.end.position.is_complete
 
 
 def _report_unresolved(
-    main: MainRoutine, reasons: dict[int, ProgramError]
+    follower: TraceFollower, reasons: dict[int, ProgramError]
 ) -> tuple[tuple[UnresolvedMotion, ...], list[Issue]]:
     """Return each uncorrected line of a file once, and a warning on each.
 
-    :param reasons: line of the trace → why its motion stays uncorrected.
+    :param reasons: row of the trace → why its motion stays uncorrected.
     """
-    by_place: dict[str, UnresolvedMotion] = {}
+    motion_of_line: dict[str, UnresolvedMotion] = {}  # by file and line
     issues = []
-    for line, reason in sorted(reasons.items()):
-        origin = main.run.trace.place(line)
-        if str(origin) in by_place:  # a line that runs more than once
+    for row, reason in sorted(reasons.items()):
+        origin = follower.run.trace.place(row)
+        if str(origin) in motion_of_line:  # a line that runs more than once
             continue
-        reported_line: int | None = main.run.trace.reported_line(line)
+        reported_line: int | None = follower.run.trace.reported_line(row)
         text = origin.source.text[slice(*origin.source.code_span(origin.line))]
-        by_place[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
-        suffix = _SHIFT_TEXT if _depends_on_position(main, line, reason) else ""
-        is_in_other_file = origin.source is not main.run.routine.source
+        motion_of_line[str(origin)] = UnresolvedMotion(origin.source.document.name, origin.line, text, reason.problem)
+        suffix = _SHIFT_TEXT if _depends_on_position(follower, row, reason) else ""
+        is_in_other_file = origin.source is not follower.run.routine.source
         prefix, reported_line = (f"{origin}: ", None) if is_in_other_file else ("", reported_line)
         message = f"{prefix}stays as it is, uncorrected: {text!r} ({reason.problem}){suffix}"
         issues.append(Issue("warning", "unresolved", message, reported_line, subject=str(origin)))
-    return tuple(by_place.values()), issues
+    return tuple(motion_of_line.values()), issues
 
 
-def _depends_on_position(main: MainRoutine, line: int, reason: ProgramError) -> bool:
+def _depends_on_position(follower: TraceFollower, row: int, reason: ProgramError) -> bool:
     """Return whether an uncorrected motion, or the first target of a called routine, depends on the robot position.
 
-    :param line: line of the trace with the motion or the call.
+    :param row: row of the trace with the motion or the call.
     :param reason: why it stays uncorrected; its text may name a variable with the robot position.
     """
-    stmt = statement(*main.run.trace.place(line))
-    if line in main.run.position_dependent_calls or (isinstance(stmt, Motion) and depends_on_position(stmt)):
+    stmt = statement(*follower.run.trace.place(row))
+    if row in follower.run.position_dependent_calls or (isinstance(stmt, Motion) and depends_on_position(stmt)):
         return True
     may_use_position = PARTLY_GIVEN in reason.problem or any(name in reason.problem.upper() for name in ROBOT_POSITIONS)
     return isinstance(stmt, Motion) and may_use_position
 
 
-def _open_start_warnings(main: MainRoutine, sequence: OrderedMotions, start_rows: list[int]) -> Iterator[Issue]:
+def _open_start_warnings(follower: TraceFollower, sequence: OrderedMotions, motions: list[int]) -> Iterator[Issue]:
     """Yield warnings on motions with an unknown start: one for each line of other files, one for the program itself.
 
-    :param start_rows: rows of these motions in `sequence`.
+    :param motions: indices of these motions in `sequence`.
     """
-    trace = main.run.trace
-    origins = {line: trace.place(line) for line in sequence.columns.trace_row[start_rows].tolist()}
-    own_lines = [line for line, origin in origins.items() if origin.source is main.run.routine.source]
-    for name in {str(origin): None for line, origin in origins.items() if line not in own_lines}:
+    trace = follower.run.trace
+    place_of_row = {row: trace.place(row) for row in sequence.columns.trace_row[motions].tolist()}
+    program_rows = [row for row, place in place_of_row.items() if place.source is follower.run.routine.source]
+    for name in {str(place): None for row, place in place_of_row.items() if row not in program_rows}:
         yield Issue("warning", "start-unknown", f"{name}: {_OPEN_START_MESSAGE}", subject=name)
-    if own_lines:
-        lines = distinct(trace.reported_lines[np.array(own_lines) - 1]).tolist()
-        yield Issue("warning", "start-unknown", _OPEN_START_MESSAGE, lines[0], count=len(own_lines), lines=tuple(lines))
+    if program_rows:
+        lines = distinct(trace.reported_lines[np.array(program_rows) - 1]).tolist()
+        yield Issue(
+            "warning", "start-unknown", _OPEN_START_MESSAGE, lines[0], count=len(program_rows), lines=tuple(lines)
+        )
