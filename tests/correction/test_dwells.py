@@ -69,6 +69,31 @@ def test_waits_in_lines_of_the_cell_count_too(word, line):
     assert bool(issues_of(result, "force-released")) == is_wait
 
 
+SUBPROGRAMS = {
+    "waits": ("spindle_on.src", "DEF Spindle_On(n:IN)\n$OUT[1]=TRUE\nWAIT SEC 3\nEND\n"),
+    "calls one that waits": ("SPINDLE_ON.SRC", "DEF SPINDLE_ON(n:IN)\nREADY ( )\nEND\n"),
+    "calls itself": ("spindle_on.src", "DEF SPINDLE_ON(n:IN)\n; WAIT SEC 3\nSPINDLE_ON(n)\nEND\n"),
+    "is unknown": ("spindle_off.src", "DEF SPINDLE_OFF()\nWAIT SEC 3\nEND\n"),
+}
+
+
+@pytest.mark.parametrize("what", SUBPROGRAMS)
+def test_waits_in_subprograms_that_lines_of_the_cell_call_count_if_their_text_is_known(what, tmp_path):
+    name, text = SUBPROGRAMS[what]
+    library = tmp_path / "lib"
+    library.mkdir()
+    (library / name).write_text(text)
+    (library / "ready.src").write_text("DEF READY()\nWAIT FOR $IN[1]\nEND\n")
+    gcode = replace(CELL.gcode, spindle_on=["SPINDLE_ON({S})"])
+    cell = replace(CELL, folder=str(tmp_path), krl=replace(CELL.krl, search=["lib", "none"]), gcode=gcode)
+    result = setting.process_text(HEAD + "G1 Z0 F300\nM3 S9000\nG1 Y20\nG0 Z60\nM3 S7000\n", cell)
+    assert not result.failed, result.issues
+    end = np.flatnonzero((result.source_line == 6) & (result.t == 1.0))
+    assert (distances(result)[end] < 2e-4) == ("waits" in what)
+    issues = issues_of(result, "unknown-subprogram")
+    assert [issue.source_line for issue in issues] == ([7] if what == "is unknown" else [])
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -25,7 +25,7 @@ from postproc.dialects.apt.execution import execute
 from postproc.dialects.apt.execution_result import ARC, RAPID, ExecutionResult, Fault, MoveRun
 from postproc.dialects.apt.statements import Statements
 from postproc.dialects.apt.survey import survey
-from postproc.dialects.cell_lines import with_waits
+from postproc.dialects.cell_lines import events_with_waits
 from postproc.dialects.circles import ArcColumns
 from postproc.dialects.dialect import CamFormat
 from postproc.errors import ForceError, InputError, Issue, ProgramError, combined_error
@@ -90,6 +90,9 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         home = _Home(joints, inverse(base) @ forward_kinematics(joints) @ tools)
     motion_moves = _motion_moves(moves, numbers)
     motions = _motions(moves, motion_moves, source, cell, numbers, home)
+    events, wait_issues = events_with_waits(
+        _events(result, comments, source, motion_moves, motions), motions, document.folder, cell
+    )
     return Program(
         name=name,
         dialect="apt",
@@ -98,10 +101,10 @@ def read(document: Document, cell: Cell, forward_kinematics: Callable[[Array], A
         bases=base[None],
         tools=tools,
         notes=_notes_before_motions(notes, motions),
-        events=tuple(with_waits(_events(result, comments, source, motion_moves, motions), cell)),
+        events=events,
         unforced=np.zeros(int(result.begins_at_start), dtype=np.int64),
         still=distinct(source.line[np.delete(moves.row, motion_moves)]),
-        issues=tuple(_issues(result, source, moves, motion_moves)),
+        issues=(*_issues(result, source, moves, motion_moves), *wait_issues),
     )
 
 

@@ -40,7 +40,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.cell import Cell
-from postproc.dialects.cell_lines import with_waits
+from postproc.dialects.cell_lines import events_with_waits
 from postproc.dialects.dialect import CamFormat
 from postproc.dialects.gcode import words
 from postproc.dialects.gcode.codes import WORK_OFFSETS
@@ -181,6 +181,7 @@ def _executed_program(
     comments, force_faults = _comments(run, modes.row_count)
     path = _checked_path(path, modes, run, force_faults)
     notes, events = _events(run, path, modes, comments)
+    events, wait_issues = events_with_waits(events, path.motions, document.folder, cell)
     line = run.main_line[path.row]
     line.flags.writeable = False
     return Program(
@@ -191,12 +192,13 @@ def _executed_program(
         bases=cell.base.pose()[None],
         tools=np.stack(list(tools.values())),
         notes=notes,
-        events=tuple(with_waits(events, cell)),
+        events=events,
         swivel=path.swivel,
         unforced=path.unforced,
         still=distinct(run.main_line[path.still_rows]),
         issues=(
             *_program_issues(run, path, modes, document.text, comments),
+            *wait_issues,
             *([Issue("info", "absolute-centres", _ABSOLUTE_CENTRES_MESSAGE)] if has_absolute_centres else []),
         ),
     )
