@@ -55,7 +55,7 @@ def nothing(*_args, **_options):
 
 def arguments_by_value(routine, arguments, scope):
     for parameter, expression, is_given in effects.bound_arguments(routine, arguments, scope):
-        by_value = Parameter(parameter.name, parameter.type, False, parameter.optional)
+        by_value = Parameter(parameter.name, parameter.type, False, parameter.is_optional)
         yield effects.BoundArgument(by_value, expression, is_given)
 
 

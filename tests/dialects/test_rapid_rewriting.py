@@ -257,7 +257,7 @@ def test_headers_of_files_are_passed_over():
 def rewriter(degrees, programmed, own, target):
     """A writer of two targets of one move: configurations of its end, of the target, and joint angles there."""
     made = object.__new__(_Rewriter)
-    made.row, made.configuration = np.array([0, 0]), np.array([target, own])
+    made.motion_of_target, made.configuration = np.array([0, 0]), np.array([target, own])
     made.degrees = np.array([[0.0] * 6, [degrees, 0, 0, 0, 0, 0]])
     return made._configuration([0.0] * 7 + [float(value) for value in programmed], 0)
 
@@ -316,10 +316,14 @@ def test_a_force_comment_holds_for_the_targets_behind_it(monkeypatch, notes, exp
         lambda comment, forces, rows: [f"{comment.decode()} {row}" for row in rows],
     )
     made = object.__new__(_Rewriter)
-    made.row, made.is_last, made.comment_forces = np.array([0, 0, 1, 1, 2, 2]), np.array([False, True] * 3), "forces"
+    made.motion_of_target, made.is_last, made.comment_forces = (
+        np.array([0, 0, 1, 1, 2, 2]),
+        np.array([False, True] * 3),
+        "forces",
+    )
     made.targets = SimpleNamespace(kind=np.full(6, LIN))
     made.program = SimpleNamespace(notes=[SimpleNamespace(before=before) for before, _ in notes], after=None)
-    made.layout = SimpleNamespace(notes=[SimpleNamespace(trailing=trailing) for _, trailing in notes])
+    made.layout = SimpleNamespace(notes=[SimpleNamespace(is_trailing=trailing) for _, trailing in notes])
     assert made._missing_force_comments() == {4: "! 4"}
     assert seen == [(expected, 0.0)]
     made.comment_forces = None

@@ -37,7 +37,7 @@ def shown(text, item):
         case Argument():
             return (item.name, piece, item.value and shown(text, item.value))
         case Comment():
-            return ("!", piece, item.text, item.trailing)
+            return ("!", piece, item.text, item.is_trailing)
         case Instruction():
             return (item.name, piece, *(shown(text, part) for part in item.arguments))
         case Assignment():
@@ -54,7 +54,7 @@ def shown(text, item):
             return ("IF" if subject is None else "TEST", piece, subject, *branches)
         case Loop():
             bounds = tuple(shown(text, part) for part in item.bounds)
-            return (item.name, piece, bounds, text[slice(*item.inside)], *(shown(text, part) for part in item.body))
+            return (item.name, piece, bounds, text[slice(*item.body_span)], *(shown(text, part) for part in item.body))
         case Jump():
             return (item.word, piece)
     raise TypeError(item)
@@ -200,7 +200,7 @@ def test_routines_have_their_names_parameters_and_handlers():
     assert (half.kind, half.name, text[slice(*half.name_span)]) == ("FUNC", "HALF", "Half")
     assert text[half.start : half.stop].startswith("LOCAL FUNC")
     assert text[half.start : half.stop].endswith("ENDFUNC")
-    assert [(p.name, p.type, p.changeable, p.optional) for p in half.parameters] == [
+    assert [(p.name, p.type, p.is_changeable, p.is_optional) for p in half.parameters] == [
         ("A", "NUM", False, False), ("B", "NUM", True, False), ("ON", "SWITCH", False, True),
         ("OFF", "BOOL", True, True), ("P", "POS", True, False),
     ]  # fmt: skip

@@ -88,7 +88,7 @@ class Effects:
         if routine is not None:
             # without a scope: it does not matter here which parameters are given
             bound = bound_arguments(routine, arguments, Scope({}))
-            expressions = (argument.expression for argument in bound if argument.parameter.changeable)
+            expressions = (argument.expression for argument in bound if argument.parameter.is_changeable)
             yield from (base_name(expression) for expression in expressions if expression is not None)
         elif name not in PURE:
             yield from (base_name(argument) for argument in changed_arguments(arguments))
@@ -180,7 +180,7 @@ def bound_arguments(routine: Routine, arguments: Sequence[Argument], scope: Scop
     positional = iter([argument.value for argument in arguments if not argument.name])
     options = {argument.name: argument for argument in arguments if argument.name}
     for parameter in routine.parameters:
-        if not parameter.optional:
+        if not parameter.is_optional:
             yield BoundArgument(parameter, next(positional, None), True)
             continue
         argument = options.get(parameter.name)

@@ -146,7 +146,8 @@ class ExecutedProgram(Struct, eq=False):
     """Result of the execution of a program.
 
     :ivar moves: motions in execution order.
-    :ivar notes: each comment with the number of the motion in whose line it is, or else of the motion that follows.
+    :ivar notes: each comment with the index in `moves` of the motion in whose line it is, or else of the one that
+        follows.
     :ivar waits: offset of each statement at which the robot waits, and the number of moves before it.
     :ivar rounds: offset of a loop with motions → its runs. A run is the loop and, for each round, the value of the
         variable of FOR, or the number of the round of WHILE.
@@ -180,13 +181,17 @@ def first_difference(first: ExecutedProgram, later: ExecutedProgram) -> int | No
     if later.errors:
         return later.errors[0].start
     for move, later_move in zip_longest(first.moves, later.moves):
-        if move is None or later_move is None:
+        if move is None or later_move is None:  # one of the runs is shorter
             return int((move or later_move).statement.start)
         if not are_equal(move, later_move):
             return int(move.statement.start)
     for note, later_note in zip_longest(first.notes, later.notes):
-        if note is None or later_note is None or (note[0].start, note[1]) != (later_note[0].start, later_note[1]):
-            return int((note or later_note)[0].start)
+        if note is None or later_note is None:
+            comment, _ = note or later_note
+            return int(comment.start)
+        (comment, move_index), (later_comment, later_index) = note, later_note
+        if (comment.start, move_index) != (later_comment.start, later_index):
+            return int(comment.start)
     return None
 
 
@@ -249,7 +254,7 @@ class Execution:
         without_effect: Iterable[str],
         loaded: LoadedModules,
     ) -> None:
-        self.modules, self.entry, self.from_cell = tuple(modules), entry, cell_value
+        self.modules, self.entry, self.cell_value = tuple(modules), entry, cell_value  # also for `next_run`
         self.without_effect, self.loaded = tuple(without_effect), loaded
         all_modules = (*loaded.modules, *self.modules)
         self.effects = Effects(all_modules, self.without_effect)
@@ -301,7 +306,9 @@ class Execution:
         return [
             name
             for name, variable in self.data.items()
-            if variable.is_used and (left := variable.at_next_run()).is_changed and left.value != left.start_value
+            if variable.is_used
+            and (final_data := variable.at_next_run()).is_changed
+            and final_data.value != final_data.start_value
         ]
 
     def next_run(self, unknown_names: Set[str]) -> Execution:
@@ -311,15 +318,16 @@ class Execution:
 
         :param unknown_names: names of data that are unknown at its beginning.
         """
-        execution = Execution(self.modules, self.entry, self.from_cell, self.without_effect, self.loaded)
+        execution = Execution(self.modules, self.entry, self.cell_value, self.without_effect, self.loaded)
         for name, variable in self.data.items():
-            left = variable.at_next_run()
-            # also what an earlier run has changed, and this one has not
-            if name in execution.data and not left.literal and not execution.data[name].why:
+            final_data = variable.at_next_run()
+            # also what an earlier run has changed, and this one has not; data with a reason are unknown in all runs
+            is_unknown = name in execution.data and execution.data[name].unknown_reason != ""
+            if name in execution.data and not final_data.has_declared_value and not is_unknown:
                 if name in unknown_names:
-                    left.forget("an earlier run may have changed it")
-                left.start_run()
-                execution.data[name] = left
+                    final_data.forget("an earlier run may have changed it")
+                final_data.start_run()
+                execution.data[name] = final_data
         return execution
 
     # --- statements that are not followed
@@ -337,7 +345,7 @@ class Execution:
         return names
 
     def _forget(self, statements: tuple[Statement, ...], reason: str, scope: Scope) -> None:
-        """Make data unknown that statements, and the routines that they call, may change.
+        """Make data unknown (they have no known value any more) that statements, and routines called there, may change.
 
         :param reason: reason for the message if the data are used later.
         """
@@ -413,7 +421,7 @@ class Execution:
             _forget_variable(self.data.get(data_name), reason, by_foreign_call=data_name not in changed_names)
 
     def _list_foreign_call(self, name: str, statement: Statement) -> None:
-        """Count a call of a routine that is in no module of the file."""
+        """Count a call of a routine that is in no module of the file; the offset of the first call is kept."""
         start, count = self.result.unknown_calls.get(name, (statement.start, 0))
         self.result.unknown_calls[name] = start, count + 1
 
@@ -522,10 +530,11 @@ class Execution:
     def _note_comment(self, comment: Comment) -> None:
         """Add a comment to the notes: with the move in whose line it is, otherwise with the next move."""
         count = len(self.result.moves)
-        self.result.notes.append((comment, count - 1 if comment.trailing and count else count))
+        self.result.notes.append((comment, count - 1 if comment.is_trailing and count else count))
 
     def _note_wait(self, statement: Instruction, scope: Scope) -> None:
         """Add an instruction at which the robot waits to the waits."""
+        # before a wait the force ends: not before WaitTime 0, which takes no time
         if statement.name in RAPID_WAITS and not _takes_no_time(statement, scope):
             self.result.waits.append((statement.start, len(self.result.moves)))
 
@@ -758,16 +767,18 @@ class Execution:
         self._execute_block(loop.body, scope, routine, depth)
         first_round = ExecutedProgram(
             moves=self.result.moves[move_count:],
-            notes=[(note, max(index - move_count, 0)) for note, index in self.result.notes[note_count:]],
+            notes=[(comment, max(index - move_count, 0)) for comment, index in self.result.notes[note_count:]],
         )
-        if first_round.moves and first_round.moves[0].kind != PTP:
+        if first_round.moves and first_round.moves[0].kind != PTP:  # later rounds begin where the body ends
             problem = "a loop without end begins with a straight move, from another place in its second round"
             advice = "Begin its body with MoveAbsJ or MoveJ, or put the moves of the part into a routine of its own."
             raise RapidError(problem, loop.start, advice)
         if not self.result.errors:
             data = self._data_by_name(scope)
             changed_names = {
-                name for name, item in data.items() if not item.literal and item.value != values.get(name, item.value)
+                name
+                for name, item in data.items()
+                if not item.has_declared_value and item.value != values.get(name, item.value)
             }
             if self.setting != setting:
                 changed_names.add(_MOVE_SETTINGS)
@@ -798,7 +809,7 @@ class Execution:
         """
         data = self._data_by_name(scope)
         result, setting, inner = self.result, self.setting, dict(scope.inner)
-        saved = [(variable, replace(variable)) for variable in data.values()]
+        copies = [(variable, replace(variable)) for variable in data.values()]  # as they are behind the first round
 
         def follow_next_round(unknown_names: frozenset[str]) -> FollowedRun:
             """Execute one more round, and compare it with the first; an error of the second round is raised."""
@@ -812,7 +823,7 @@ class Execution:
             except _Return:
                 return FollowedRun(loop.start)
             except RapidError as cause:
-                if not unknown_names:
+                if not unknown_names:  # the second round, whose data are known
                     raise
                 return FollowedRun(cause.start)
             if self.result.errors and not unknown_names:
@@ -820,27 +831,25 @@ class Execution:
             start = first_difference(first_round, self.result)
             if start is None and self.setting != setting:
                 start = loop.start
-            return FollowedRun(
-                start,
-                frozenset(
-                    name
-                    for name, variable in data.items()
-                    if variable.is_used and variable.is_changed and variable.value != variable.start_value
-                ),
+            changed_data = (
+                name
+                for name, variable in data.items()
+                if variable.is_used and variable.is_changed and variable.value != variable.start_value
             )
+            return FollowedRun(difference=start, changed_names=frozenset(changed_data))
 
         difference = later_difference(changed_names, follow_next_round)
         used_names = {name for name, variable in data.items() if variable.is_used}
         self.result, self.setting, scope.inner = result, setting, inner
-        for variable, copy in saved:
+        for variable, copy in copies:
             variable.copy_from(copy)
         if difference is not None:
             spellings = {
                 name: name if variable.declaration is None else variable.declaration.spelling
                 for name, variable in data.items()
             }
-            changed = difference.names & used_names or difference.names
-            names = first_of(sorted(spellings.get(name, name) for name in changed), _MOST_NAMES)
+            relevant_names = difference.names & used_names or difference.names
+            names = first_of(sorted(spellings.get(name, name) for name in relevant_names), _MOST_NAMES)
             moves = "moves" if difference.is_certain else "may move"
             raise RapidError(
                 f"a later round of this loop without end {moves} differently here: each round changes {names} for the "
@@ -898,6 +907,7 @@ class Execution:
             if name == "CONNECT":
                 self._check_connect(statement)
             self._note_wait(statement, scope)
+            # such instructions of RAPID change only the data of result options; others may change any argument
             is_reading = name in READING or name in CONSTANT
             for argument in results(statement) if is_reading else changed_arguments(statement.arguments):
                 _forget_variable(scope.find(base_name(argument)), f"{name} may change it")
@@ -963,20 +973,25 @@ class Execution:
         :raises RapidError: the routine cannot be followed.
         """
         callee_scope = Scope(self.data)
-        bound = list(bound_arguments(routine, statement.arguments, scope))
+        bound_parameters = list(bound_arguments(routine, statement.arguments, scope))
         handler_names = self.effects.changed_by_handler(routine)
-        for parameter, expression, is_given in bound:
-            variable = Variable(parameter.type, None, f"the call of {routine.name} does not give it")
-            if parameter.changeable and _is_data_name(expression, scope):
+        for parameter, expression, is_given in bound_parameters:
+            # without an argument: an optional parameter that the call leaves out
+            variable = Variable(parameter.type, unknown_reason=f"the call of {routine.name} does not give it")
+            if parameter.is_changeable and _is_data_name(expression, scope):
                 variable = scope.variable(expression.value)
-            elif parameter.changeable and expression is not None and self._may_change_array(routine, parameter, bound):
-                variable.why = f"{routine.name} may change it"
-                _forget_variable(scope.find(base_name(expression)), variable.why)
+            elif (
+                parameter.is_changeable
+                and expression is not None
+                and self._may_change_array(routine, parameter, bound_parameters)
+            ):
+                variable.unknown_reason = f"{routine.name} may change it"
+                _forget_variable(scope.find(base_name(expression)), variable.unknown_reason)
             elif expression is not None:
                 try:
                     variable.value, _ = evaluate(expression, scope)
                 except UnknownValueError as cause:
-                    variable.why = cause.problem
+                    variable.unknown_reason = cause.problem
             if parameter.name in handler_names:
                 _interrupt_variable(variable, f"the handler of {routine.name}")
             callee_scope.inner[parameter.name] = variable
@@ -984,8 +999,8 @@ class Execution:
         if self._routine_moves(routine):
             self.result.calls.setdefault(routine.name, []).append(statement)
         self._execute_routine(routine, callee_scope, depth + 1)
-        for parameter, expression, _ in bound:
-            if parameter.changeable and expression is not None and not _is_data_name(expression, scope):
+        for parameter, expression, _ in bound_parameters:
+            if parameter.is_changeable and expression is not None and not _is_data_name(expression, scope):
                 _forget_variable(scope.find(base_name(expression)), f"{routine.name} may change it")
 
     def _call_other_module(self, statement: Instruction, routine: Routine, scope: Scope) -> None:
@@ -998,24 +1013,26 @@ class Execution:
             _forget_variable(scope.find(name), reason)
         self._forget_data_of(routine.name, reason)
 
-    def _may_change_array(self, routine: Routine, parameter: Parameter, bound: list[BoundArgument]) -> bool:
+    def _may_change_array(self, routine: Routine, parameter: Parameter, bound_parameters: list[BoundArgument]) -> bool:
         """Return whether a routine may change the array whose element is the argument of a parameter.
 
         :param parameter: parameter whose argument is an array element.
-        :param bound: parameters of the routine with their arguments.
+        :param bound_parameters: parameters of the routine with their arguments.
         """
-        names = [base_name(expression) for _, expression, _ in bound if expression is not None]
-        base = next(base_name(value) for item, value, _ in bound if item is parameter and value is not None)
+        names = [base_name(expression) for _, expression, _ in bound_parameters if expression is not None]
+        array_name = next(
+            base_name(value) for item, value, _ in bound_parameters if item is parameter and value is not None
+        )
         changed_names = {*self.effects.changed_names(routine.body), *self.effects.changed_data_of(routine.name)}
         # the element itself, the array by its name, or another argument that is a part of the array
-        return parameter.name in changed_names or base in changed_names or names.count(base) > 1
+        return parameter.name in changed_names or array_name in changed_names or names.count(array_name) > 1
 
     def _frame_of_cell(self, name: str, type_: str) -> Value | None:
         """Return the value of the cell for a tool or work object that no module declares; None if it has none.
 
         Add a value to `result.cell_data`.
         """
-        value = self.from_cell(name, type_)
+        value = self.cell_value(name, type_)
         if value is not None:
             self.result.cell_data[name] = type_
         return value
@@ -1059,11 +1076,11 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
 
     :raises UnknownValueError: the bounds are not known, there are too many rounds, or their number depends on rounding.
     """
-    begin, end, *stated_step = (number(bound, scope) for bound in loop.bounds)
+    begin, end, *stated_step = (number(bound, scope) for bound in loop.bounds)  # FROM, TO and, if stated, STEP
     step = stated_step[0] if stated_step else (1.0 if end >= begin else -1.0)
     if step == 0.0 or (end - begin) * step < 0.0:
         return []
-    count = (end - begin) / step
+    count = (end - begin) / step  # of steps; may be broken
     if count > MOST_STATEMENTS:
         raise UnknownValueError("there are too many")
     if abs(count - round(count)) < SINGLE_PRECISION_TOLERANCE * max(count, 1.0) and not (
@@ -1078,10 +1095,14 @@ def _loop_values(loop: Loop, scope: Scope) -> list[float]:
 
 @contextlib.contextmanager
 def _change_of(variable: Variable) -> Iterator[None]:
-    """Change data: the use of their own value for the next one is no use, but then the new value depends on it."""
+    """Run a block that changes data; ``n := n + 1`` in it is no use of their value at the start of the run.
+
+    The new value depends on that value nevertheless: `is_set` stays False. After ``n := 1`` it is True.
+    """
     was_used, variable.is_used = variable.is_used, False
     yield
-    variable.is_set = variable.is_set or not variable.is_used
+    depends_on_start = variable.is_used
+    variable.is_set = variable.is_set or not depends_on_start
     variable.is_used = was_used
 
 
@@ -1101,7 +1122,8 @@ def _initial_variable(declaration: Declaration) -> Variable:
     Initial values are evaluated later, when they are first used. Elements of an array of another type are None, unknown
     until they are assigned; so is an array whose dimensions are no numbers.
     """
-    variable = Variable(declaration.type, declaration=declaration, literal=declaration.value is not None)
+    has_declared_value = declaration.value is not None
+    variable = Variable(declaration.type, declaration=declaration, has_declared_value=has_declared_value)
     sizes = [item.value for item in declaration.dimensions if item.kind == "number"]
     if declaration.value is None and len(sizes) == len(declaration.dimensions):
         value: Value = {"NUM": 0.0, "BOOL": False, "STRING": ""}.get(declaration.type)

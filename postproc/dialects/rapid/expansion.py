@@ -264,7 +264,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     :param values: value of the variable of FOR in each round, which replaces its name; for WHILE, one value per round.
     :raises RapidError: a second loop inside FOR has a variable of the same name.
     """
-    begin, end = loop.inside
+    begin, end = loop.body_span
     body = text[begin:end]
     first_line_end = re.match(r"[ \t]*(?:![^\r\n]*)?(\r\n|\n|\r)", body)  # the end of the line of DO
     offset = first_line_end.end() if first_line_end else 0
@@ -297,7 +297,7 @@ def _variable_spans(text: str, loop: Loop) -> list[tuple[int, int]]:
 
     :raises RapidError: a second loop inside has a variable of the same name.
     """
-    begin, end = loop.inside
+    begin, end = loop.body_span
     spans: list[tuple[int, int]] = []
     parser, previous_word = Parser(text, begin), ""
     while parser.kind != "end" and parser.start < end:

@@ -183,7 +183,7 @@ def _global_data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
     """Return the data of modules that are not LOCAL, with their values, or with the reason why a value is not known."""
     declarations = {item.name: item for module in loaded_modules for item in module.data}
     declared = {
-        name: Variable(item.type, declaration=item, literal=item.value is not None)
+        name: Variable(item.type, declaration=item, has_declared_value=item.value is not None)
         for name, item in declarations.items()
     }
     predefined = {name: Variable(type_, value) for name, (value, type_) in predefined_data().items()}
@@ -193,13 +193,15 @@ def _global_data(loaded_modules: tuple[Module, ...]) -> dict[str, Variable]:
         if item.is_local:
             continue
         # without the text of its value: a correction never changes another file
-        variable = Variable(item.type, declaration=replace(item, value=None), literal=True)
+        variable = Variable(item.type, declaration=replace(item, value=None), has_declared_value=True)
         if item.value is None:
-            variable.why = "its module gives it no value"
+            variable.unknown_reason = "its module gives it no value"
         else:
             try:
                 variable.value, _ = evaluate(item.value, scope)
             except (UnknownValueError, RecursionError) as cause:
-                variable.why = cause.problem if isinstance(cause, UnknownValueError) else "it refers to itself"
+                variable.unknown_reason = (
+                    cause.problem if isinstance(cause, UnknownValueError) else "it refers to itself"
+                )
         data[name] = variable
     return data

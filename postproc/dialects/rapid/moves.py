@@ -166,7 +166,9 @@ def _target(expression: Expression, scope: Scope, *, takes_joints: bool) -> Targ
     variable = scope.find(base_name(expression))
     if expression.kind == "list":
         return Target(numbers, expression, expression)
-    if variable is not None and variable.literal and variable.declaration is not None:  # still its initial value
+    if (
+        variable is not None and variable.has_declared_value and variable.declaration is not None
+    ):  # still its initial value
         element = _element(expression, variable.declaration.value, scope)
         # only literals of module data can be corrected: local data are declared again in each call
         if element is not None and scope.outer.get(base_name(expression)) is variable:

@@ -108,17 +108,19 @@ class _Rewriter:
     ) -> None:
         self.program, self.layout, self.targets, self.comment_forces = program, layout, targets, comment_forces
         self.text, self.moves = layout.text, layout.moves
-        self.row = np.asarray(targets.motion, dtype=np.int64)
-        self.is_last = np.append(self.row[1:] != self.row[:-1], True)[: len(self.row)]
+        self.motion_of_target = np.asarray(targets.motion, dtype=np.int64)
+        self.is_last = np.append(self.motion_of_target[1:] != self.motion_of_target[:-1], True)[
+            : len(self.motion_of_target)
+        ]
         self.issues: list[Issue] = []
         self.edits: list[Edit] = []
         self.starts, self.stops = line_spans(self.text)
-        pose = targets.pose.take(np.arange(len(self.row)))
+        pose = targets.pose.take(np.arange(len(self.motion_of_target)))
         self.position = pose.position * MM_PER_M
         self.quaternion = quaternions(pose.rotation)
-        q = np.asarray(joints.q[np.arange(len(self.row))])
+        q = np.asarray(joints.q[np.arange(len(self.motion_of_target))])
         self.degrees = abb_from_joints(q)
-        self.configuration = configuration(q, np.asarray(joints.status[np.arange(len(self.row))]))
+        self.configuration = configuration(q, np.asarray(joints.status[np.arange(len(self.motion_of_target))]))
         self.lowered_moves = self._find_lowered_moves()
         self.shared: dict[int, _SharedData] = {}
         self.data_arguments: dict[int, Expression] = {}
@@ -134,15 +136,15 @@ class _Rewriter:
         """Make all edits of the module, and return it with the 1-based line of each target."""
         document = self.program.documents[0]
         forces = self._missing_force_comments()
-        is_divided = np.bincount(self.row, minlength=len(self.moves)) > 1
+        is_divided = np.bincount(self.motion_of_target, minlength=len(self.moves)) > 1
         is_corrected = ~self.targets.keep & self.is_last
         # first target of each move: `row` is sorted
-        begin = np.searchsorted(self.row, np.arange(len(self.moves)))
+        begin = np.searchsorted(self.motion_of_target, np.arange(len(self.moves)))
         # the move before is corrected
-        start_differs = np.append(False, np.isin(np.arange(len(self.moves)), self.row[is_corrected])[:-1])
+        start_differs = np.append(False, np.isin(np.arange(len(self.moves)), self.motion_of_target[is_corrected])[:-1])
         uses: dict[int, list[tuple[int, str]]] = {}  # see `_rewrite_point`
         for k in np.flatnonzero(self.is_last).tolist():
-            row = int(self.row[k])
+            row = int(self.motion_of_target[k])
             if is_divided[row] or k in forces:
                 self._add_lines(row, range(int(begin[row]), k), k, forces)
             needs_speed = self.moves[row].duration > 0.0 and (
@@ -163,7 +165,7 @@ class _Rewriter:
 
     def _line_of_moves(self) -> Ints:
         """Return the line (K,) of each target in a module without edits: the line of its move."""
-        return np.asarray(self.program.motions.line[self.row], dtype=np.int64)
+        return np.asarray(self.program.motions.line[self.motion_of_target], dtype=np.int64)
 
     # --- lines before a move
 
@@ -172,10 +174,10 @@ class _Rewriter:
         if self.comment_forces is None:
             return {}
         note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
-        trailing = np.array([comment.trailing for comment in self.layout.notes], dtype=np.int64)
+        trailing = np.array([comment.is_trailing for comment in self.layout.notes], dtype=np.int64)
         # a comment in the line of a move applies to the end of the move, but not to the targets inserted before it:
         # keys are 2 · move for comments and inserted targets before the move, 2 · move + 1 for the line of the move
-        target_keys = 2 * self.row + self.is_last
+        target_keys = 2 * self.motion_of_target + self.is_last
         # the last comment that applies to each target; −1: none
         note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
         needs_comment = force_comments.needs_comment(
@@ -197,7 +199,9 @@ class _Rewriter:
         begins = np.append(np.flatnonzero(self.program.after[1:] < 0) + 1, len(self.moves))
         rows: list[int] = []
         for begin, end in pairwise(begins.tolist()):
-            cuts = np.flatnonzero((self.row >= begin) & (self.row < end) & (self.targets.kind != PTP))
+            cuts = np.flatnonzero(
+                (self.motion_of_target >= begin) & (self.motion_of_target < end) & (self.targets.kind != PTP)
+            )
             if len(cuts) and not ((note_keys > 2 * begin + 1) & (note_keys <= target_keys[cuts[0]])).any():
                 rows.append(int(cuts[0]))
         return rows
@@ -250,7 +254,7 @@ class _Rewriter:
     def _replace_comment(self, row: int, text: str) -> bool:
         """Replace the force comment in the line of move `row`; return whether it has one."""
         for note, comment in zip(self.program.notes, self.layout.notes, strict=True):
-            if comment.trailing and note.before == row:
+            if comment.is_trailing and note.before == row:
                 self.edits.append(Edit(comment.start, comment.stop, text))
                 return True
         return False
@@ -500,7 +504,7 @@ class _Rewriter:
         """
         programmed_conf = [int(value) for value in numbers[7:11]]
         # last target of the move of target `k`
-        end = int(np.searchsorted(self.row, self.row[k], side="right")) - 1
+        end = int(np.searchsorted(self.motion_of_target, self.motion_of_target[k], side="right")) - 1
         quadrant_offsets = [programmed_conf[axis] - int(self.configuration[end, axis]) for axis in range(3)]
         degrees = self.degrees[end, [0, 3, 5]]
         for axis, quadrant_offset in enumerate(quadrant_offsets):
@@ -528,12 +532,14 @@ class _Rewriter:
         piece_offsets = list(accumulate((len(piece) for piece in pieces), initial=0))
         edit_offsets = piece_offsets[1::2]  # pieces alternate: old text, new text of an edit
         # offsets of the targets in the new text
-        offset = np.zeros(len(self.row), dtype=np.int64)
+        offset = np.zeros(len(self.motion_of_target), dtype=np.int64)
         for edit, edit_offset in zip(edits, edit_offsets, strict=False):
             for k, offset_in_edit in edit.targets:
                 offset[k] = edit_offset + offset_in_edit
         ends = np.flatnonzero(self.is_last)
-        statement_start = np.array([self.moves[row].statement.start for row in self.row[ends].tolist()], dtype=np.int64)
+        statement_start = np.array(
+            [self.moves[row].statement.start for row in self.motion_of_target[ends].tolist()], dtype=np.int64
+        )
         edits_before = np.searchsorted([edit.stop for edit in edits], statement_start, side="right")
         # growth of the text by the first edits
         added_lengths = np.cumsum([0, *(len(edit.text) - (edit.stop - edit.start) for edit in edits)])

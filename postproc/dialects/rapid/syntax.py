@@ -73,11 +73,11 @@ class Comment(Statement, frozen=True, eq=False):
     """A comment.
 
     :ivar text: text behind ``!``.
-    :ivar trailing: True if other text precedes it in its line.
+    :ivar is_trailing: True if other text precedes it in its line.
     """
 
     text: str
-    trailing: bool
+    is_trailing: bool
 
 
 class Instruction(Statement, frozen=True, eq=False):
@@ -135,13 +135,13 @@ class Loop(Statement, frozen=True, eq=False):
 
     :ivar name: variable of FOR, upper case; empty for WHILE.
     :ivar bounds: FOR: first value, last value and, if stated, step. WHILE: condition.
-    :ivar inside: span of the text between DO and ENDFOR or ENDWHILE.
+    :ivar body_span: span of the text between DO and ENDFOR or ENDWHILE.
     """
 
     name: str
     bounds: tuple[Expression, ...]
     body: tuple[Statement, ...]
-    inside: tuple[int, int]
+    body_span: tuple[int, int]
 
 
 class Jump(Statement, frozen=True, eq=False):
@@ -153,14 +153,14 @@ class Jump(Statement, frozen=True, eq=False):
 class Parameter(Struct, frozen=True):
     """A parameter of a routine; name and type are in upper case.
 
-    :ivar changeable: True for VAR, PERS and INOUT: the routine may change the argument.
-    :ivar optional: True if a backslash precedes it.
+    :ivar is_changeable: True for VAR, PERS and INOUT: the routine may change the argument.
+    :ivar is_optional: True if a backslash precedes it.
     """
 
     name: str
     type: str
-    changeable: bool
-    optional: bool
+    is_changeable: bool
+    is_optional: bool
 
 
 class Routine(Struct, frozen=True, eq=False):
@@ -267,8 +267,8 @@ class Parser:
             if match.lastgroup == "comment":
                 line_start = self.text[self.previous_stop : match.start()]
                 # text precedes the comment on its line: no line end is between the token before and the comment
-                trailing = "\n" not in line_start and "\r" not in line_start and self.previous_stop > 0
-                self.comments.append(Comment(match.start(), at, match[0][1:], trailing))
+                is_trailing = "\n" not in line_start and "\r" not in line_start and self.previous_stop > 0
+                self.comments.append(Comment(match.start(), at, text=match[0][1:], is_trailing=is_trailing))
             elif match.lastgroup != "space":
                 is_own_name = self.word not in (".", "\\")  # no component of data, and no option of a routine
                 self.kind, self.start, self.stop = str(match.lastgroup), match.start(), at
@@ -305,7 +305,7 @@ class Parser:
         return False
 
     def identifier(self) -> str:
-        """Parse a name that is no reserved word; return it in upper case.
+        """Parse a name that is no reserved word, and step over it; return it in upper case.
 
         :raises RapidSyntaxError: the next token is no such name.
         """
@@ -527,7 +527,9 @@ class Parser:
         return Jump(start, self.previous_stop, word)
 
     def _late_call(self) -> Statement:
-        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``, or ``%`` for other texts.
+        """Parse a call by a text, ``%"name"% arguments;``: an instruction named ``%NAME``.
+
+        It is named ``%`` if the text is computed, so that the routine is not known.
 
         :raises RapidSyntaxError: it is not valid.
         """
@@ -651,16 +653,17 @@ class Parser:
         """Parse the body of a loop from DO to `end`.
 
         :param start: offset of FOR or WHILE.
-        :param name: see `Loop`, also for `bounds`.
+        :param name: variable of FOR, upper case; empty for WHILE.
+        :param bounds: FOR: first value, last value and, if stated, step. WHILE: condition.
         :param end: ENDFOR or ENDWHILE.
         :raises RapidSyntaxError: it is not valid.
         """
         begin = self.stop  # the end of the word DO
         self.expect("DO")
         body = self.block()
-        span = begin, self.start
+        body_span = begin, self.start
         self.expect(end)
-        return Loop(start, self.previous_stop, name, bounds, body, span)
+        return Loop(start, self.previous_stop, name=name, bounds=bounds, body=body, body_span=body_span)
 
     def declaration(self) -> Statement:
         """Parse a declaration of data.
@@ -668,23 +671,34 @@ class Parser:
         :raises RapidSyntaxError: it is not valid.
         """
         start, is_local = self.start, False
-        while self.word in ("LOCAL", "TASK"):
+        while self.word in ("LOCAL", "TASK"):  # TASK data belong to one task: only one is read
             is_local |= self.word == "LOCAL"
             self.step()
         kind = self.word
         if kind not in _DATA_KINDS:
             raise self.fault("CONST, PERS or VAR")
         self.step()
-        type_, spelling = self.identifier(), self.text[self.start : self.stop]
+        type_ = self.identifier()
+        spelling = self.text[self.start : self.stop]  # of the name, which is the next token now
         name, dimensions = self.identifier(), list[Expression]()
-        if self.accept("{"):
+        if self.accept("{"):  # an array
             dimensions.append(self.expression())
             while self.accept(","):
                 dimensions.append(self.expression())
             self.expect("}")
         value = self.expression() if self.accept(":=") else None
         self.expect(";")
-        return Declaration(start, self.previous_stop, kind, is_local, type_, name, spelling, tuple(dimensions), value)
+        return Declaration(
+            start,
+            self.previous_stop,
+            kind=kind,
+            is_local=is_local,
+            type=type_,
+            name=name,
+            spelling=spelling,
+            dimensions=tuple(dimensions),
+            value=value,
+        )
 
     # --- modules
 
@@ -746,8 +760,8 @@ class Parser:
         kind = self.word
         self.step()
         if kind == "FUNC":
-            self.identifier()
-        span = self.start, self.stop
+            self.identifier()  # the type of its result
+        name_span = self.start, self.stop
         name = self.identifier()
         parameters: tuple[Parameter, ...] = ()
         if kind != "TRAP":
@@ -756,12 +770,22 @@ class Parser:
         body, handler = self.block(), list[Statement]()
         while self.word in ("ERROR", "UNDO", "BACKWARD"):
             self.step()
-            if self.accept("("):
+            if self.accept("("):  # the numbers of the errors, which are not needed
                 self.arguments(")")
                 self.expect(")")
             handler += self.block()
         self.expect(f"END{kind}")
-        return Routine(kind, name, span, parameters, body, tuple(handler), start, self.previous_stop, is_local)
+        return Routine(
+            kind=kind,
+            name=name,
+            name_span=name_span,
+            parameters=parameters,
+            body=body,
+            handler=tuple(handler),
+            start=start,
+            stop=self.previous_stop,
+            is_local=is_local,
+        )
 
     def _parameters(self) -> tuple[Parameter, ...]:
         """Parse the parameters of a routine, from behind the opening bracket to behind the closing one.
@@ -780,19 +804,20 @@ class Parser:
         :raises RapidSyntaxError: it is not valid.
         """
         is_alternative = self.accept("|")
-        optional = self.accept("\\") or is_alternative
-        changeable = self.word in ("VAR", "PERS", "INOUT")
-        if changeable:
+        is_optional = self.accept("\\") or is_alternative
+        is_changeable = self.word in ("VAR", "PERS", "INOUT")
+        if is_changeable:
             self.step()
-        type_, spelling = self.identifier(), self.text[self.start : self.stop]
+        type_ = self.identifier()
+        spelling = self.text[self.start : self.stop]  # of the name, which is the next token now
         name = self.identifier()
-        if optional:  # calls name it too, also those of other modules
+        if is_optional:  # its own name, also if another name replaces it here: calls in other modules name it
             name = spelling.upper()
-        if type_ == "SWITCH":
-            return Parameter(name, type_, changeable=False, optional=optional)
+        if type_ == "SWITCH":  # has no value that a routine could change
+            return Parameter(name, type_, is_changeable=False, is_optional=is_optional)
         if self.accept("{"):  # the dimensions of an array
             self._skip_beyond("}")
-        return Parameter(name, type_, changeable, optional)
+        return Parameter(name, type_, is_changeable=is_changeable, is_optional=is_optional)
 
     def _skip_beyond(self, end: str) -> None:
         """Step over all tokens up to and including a word or symbol.
@@ -808,7 +833,7 @@ class Parser:
 def modules(text: str, renamed: Mapping[str, Mapping[str, str]] | None = None) -> tuple[Module, ...]:
     """Return the modules of a file.
 
-    :param renamed: see `Parser`.
+    :param renamed: module → name → name that replaces it in this module, all in upper case.
     :raises RapidSyntaxError: the text is not RAPID.
     """
     return tuple(Parser(text, renamed=renamed).modules())

@@ -147,9 +147,9 @@ class Variable(Struct, eq=False):
 
     :ivar type: upper case.
     :ivar value: present value; None if it is not known, or is that of the declaration and was not needed yet.
-    :ivar why: reason why the value is not known.
+    :ivar unknown_reason: reason why the value is not known.
     :ivar declaration: its declaration; None for predefined data, parameters and variables of FOR.
-    :ivar literal: True as long as the value is that of the declaration.
+    :ivar has_declared_value: True as long as the value is that of the declaration.
     :ivar interrupt: name of a trap or handler that may change it at any time, so that it is never known; else empty.
     :ivar is_changed: True if the run has changed the value, or may have changed it.
     :ivar is_set: True if the value no longer depends on that at the start of the run.
@@ -160,9 +160,9 @@ class Variable(Struct, eq=False):
 
     type: str
     value: Value = None
-    why: str = ""
+    unknown_reason: str = ""
     declaration: Declaration | None = None
-    literal: bool = False
+    has_declared_value: bool = False
     interrupt: str = ""
     is_changed: bool = False
     is_set: bool = False
@@ -174,12 +174,12 @@ class Variable(Struct, eq=False):
         """Change the value."""
         if not self.is_changed:
             self.is_changed, self.start_value = True, self.value
-        self.value, self.literal, self.before_call = value, False, None
+        self.value, self.has_declared_value, self.before_call = value, False, None
 
     def forget(self, reason: str) -> None:
         """Make the value unknown, for a reason."""
         self.change(None)
-        self.is_set, self.why = True, reason
+        self.is_set, self.unknown_reason = True, reason
 
     def forget_by_foreign_call(self, reason: str) -> None:
         """Make the value unknown in this run; the next run is assumed to begin with the value before the call."""
@@ -188,17 +188,20 @@ class Variable(Struct, eq=False):
         self.before_call = before_call
 
     def at_next_run(self) -> Variable:
-        """Return the data as the next run finds them: unchanged and unused."""
-        left = self.before_call or self
-        return replace(left, is_set=False, is_used=False)
+        """Return the data as the next run of the program finds them: those that this run leaves, not yet used.
+
+        Routines of other files are assumed to leave data as they are from one run to the next.
+        """
+        final_data = self.before_call or self
+        return replace(final_data, is_set=False, is_used=False)
 
     def copy_from(self, other: Variable) -> None:
-        """Take all that other data are: value and history."""
+        """Take over all fields of other data: value and history."""
         for name in self.__struct_fields__:
             setattr(self, name, getattr(other, name))
 
     def start_run(self) -> None:
-        """Make the present value that at the start of a run."""
+        """Make the present value the one at the start of a run: nothing has changed or used it yet."""
         self.is_changed = self.is_set = self.is_used = False
         self.start_value = self.before_call = None
 
@@ -289,33 +292,33 @@ def record_numbers(value: Value, *sizes: int) -> list[float]:
     return numbers
 
 
-def _name(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _data_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of data; an initial value is evaluated and stored when it is first needed.
 
     :raises UnknownValueError: the data are not declared, or have no known value.
     """
     variable = scope.variable(expression.value)
-    if not variable.is_set:
+    if not variable.is_set:  # the value depends on that at the start of the run, which is used here
         variable.is_used = True
-    if variable.value is None and variable.declaration is not None and variable.literal:
+    if variable.value is None and variable.declaration is not None and variable.has_declared_value:
         initial = variable.declaration.value
         if initial is not None:
             # without local data, which may have the names of data of the module
             variable.value, _ = evaluate(initial, Scope(scope.outer))
     if variable.value is None:
         prefix = f"{expression.value} is not known: "
-        raise UnknownValueError(prefix + (variable.why.removeprefix(prefix) or "it has no value yet"))
+        raise UnknownValueError(prefix + (variable.unknown_reason.removeprefix(prefix) or "it has no value yet"))
     return variable.value, variable.type
 
 
-def _numbers(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _robtarget_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return the value and type of a robtarget of 17 numbers: position, orientation, configuration, external axes."""
     del scope
     values = [float(text) for text in expression.value]
     return [values[:3], values[3:7], values[7:11], values[11:]], "ROBTARGET"
 
 
-def _index(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _element_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of an element of an array.
 
     :raises UnknownValueError: the array or an index is not known, or there is no such element.
@@ -342,7 +345,7 @@ def _list_index(index: Expression, scope: Scope) -> int:
     return int(value) - 1
 
 
-def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _component_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a component of a record.
 
     :raises UnknownValueError: the record is not known, or there is no such component.
@@ -354,7 +357,7 @@ def _field(expression: Expression, scope: Scope) -> tuple[Value, str]:
     raise UnknownValueError(f"the component {expression.value} is not known")
 
 
-def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _aggregate_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return the values of an aggregate, such as ``[1, [2, 3]]``, and an empty type: an aggregate does not show it.
 
     :raises UnknownValueError: a value is not known.
@@ -362,7 +365,7 @@ def _list(expression: Expression, scope: Scope) -> tuple[Value, str]:
     return [item.value if item.kind == "number" else evaluate(item, scope)[0] for item in expression.items], ""
 
 
-def _literal(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _literal_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a number, a string, TRUE or FALSE."""
     del scope
     return expression.value, {"number": "NUM", "bool": "BOOL", "string": "STRING"}[expression.kind]
@@ -391,7 +394,7 @@ _COMPARISONS: dict[str, Callable[[Value, Value], bool]] = {
 }
 
 
-def _operation(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _operation_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of an operation.
 
     :raises UnknownValueError: an operand is unknown or has an unsuitable type, or the result depends on rounding.
@@ -464,10 +467,11 @@ def _arithmetic_value(word: str, left: Value, right: Value) -> Value:
     raise UnknownValueError("an operation on records is not followed")
 
 
-def _call(expression: Expression, scope: Scope) -> tuple[Value, str]:
+def _function_value(expression: Expression, scope: Scope) -> tuple[Value, str]:
     """Return value and type of a function call.
 
-    Present() of a parameter is known from the call of its routine, Dim() from the declaration of an array. Functions in
+    ``Present(parameter)``, whether a call gives an optional parameter, is known from the call of the routine, and
+    ``Dim(array, number)``, a size of an array, from the declaration. Functions in
     `_FUNCTIONS` are computed from the values of their arguments.
 
     :raises UnknownValueError: the value is known at run time only, or the arguments are not those of the function.
@@ -618,16 +622,16 @@ _FUNCTIONS: dict[str, Callable[[list[Value], dict[str, float]], tuple[Value, str
 FOLLOWED_FUNCTIONS = frozenset({*_FUNCTIONS, "PRESENT", "DIM"})
 """Functions of RAPID whose values can be known before run time."""
 _EVALUATORS: dict[str, Callable[[Expression, Scope], tuple[Value, str]]] = {
-    "number": _literal,
-    "bool": _literal,
-    "string": _literal,
-    "name": _name,
-    "numbers": _numbers,
-    "index": _index,
-    "field": _field,
-    "list": _list,
-    "operation": _operation,
-    "call": _call,
+    "number": _literal_value,
+    "bool": _literal_value,
+    "string": _literal_value,
+    "name": _data_value,
+    "numbers": _robtarget_value,
+    "index": _element_value,
+    "field": _component_value,
+    "list": _aggregate_value,
+    "operation": _operation_value,
+    "call": _function_value,
 }
 
 
@@ -661,7 +665,7 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
     if target.kind == "name":
         variable.change(value)
         return
-    path: list[int] = []  # indices from outside to inside
+    path: list[int] = []  # to the element or component: indices from 0, from outside to inside
     inner = target
     while inner.kind in ("index", "field"):
         if inner.kind == "index":
@@ -670,11 +674,11 @@ def assign(target: Expression, value: Value, scope: Scope) -> None:
             _, type_ = evaluate(inner.items[0], scope)
             path.insert(0, [name for name, _ in FIELDS.get(type_, ())].index(inner.value))
         inner = inner.items[0]
-    whole, _ = evaluate(inner, scope)  # `inner` is the name of the data now
-    variable.change(_replace_component(whole, path, value))
+    record_or_array, _ = evaluate(inner, scope)  # `inner` is the name of the data now
+    variable.change(_replace_component(record_or_array, path, value))
 
 
-def _replace_component(whole: Value, path: list[int], value: Value) -> Value:
+def _replace_component(record_or_array: Value, path: list[int], value: Value) -> Value:
     """Return a record or array with another value of one component.
 
     :param path: indices of the component, from 0, from outside to inside; empty: the whole value is replaced.
@@ -682,6 +686,9 @@ def _replace_component(whole: Value, path: list[int], value: Value) -> Value:
     """
     if not path:
         return value
-    if not isinstance(whole, list) or not 0 <= path[0] < len(whole):
+    if not isinstance(record_or_array, list) or not 0 <= path[0] < len(record_or_array):
         raise UnknownValueError("the index is outside of the array")
-    return [_replace_component(item, path[1:], value) if k == path[0] else item for k, item in enumerate(whole)]
+    return [
+        _replace_component(item, path[1:], value) if index == path[0] else item
+        for index, item in enumerate(record_or_array)
+    ]
