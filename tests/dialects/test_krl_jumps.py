@@ -13,9 +13,9 @@ STRUCTURES_DAT = "\n".join(
     [
         "DEFDAT part",
         "STRUC INNER FRAME F,INT N",
-        "STRUC WHOLE INT X,REAL R,INNER I",
-        "DECL WHOLE S={X 1,R 2.5,I {F {X 1,Y 2,Z 3,A 0,B 0,C 180},N 2}}",
-        "DECL WHOLE T[2]",
+        "STRUC INT_OR_REAL INT X,REAL R,INNER I",
+        "DECL INT_OR_REAL S={X 1,R 2.5,I {F {X 1,Y 2,Z 3,A 0,B 0,C 180},N 2}}",
+        "DECL INT_OR_REAL T[2]",
         "T[1]={X 1,R 2.5,I {F {X 5,Y 2,Z 3,A 0,B 0,C 180},N 2}}",
         "DECL E6POS P[3]",
         *(f"P[{n}]={{X {10 * n},Y 2,Z 3,A 0,B 0,C 180}}" for n in (1, 2, 3)),

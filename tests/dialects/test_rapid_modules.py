@@ -19,8 +19,8 @@ SPEED = "  CONST speeddata vCut:=[37,500,5000,1000];\n"
 TARGET = f"  PERS robtarget pHome:={at(0, 0, 60)};\n"
 BESIDE = f"MODULE CalibData\n  {TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}%s\nENDMODULE\n"
 CODE = ["MoveJ pHome,v100,fine,tMill\\WObj:=wPart;", f"MoveL {at(0, 40, 20)}{tail('vCut')}"]
-WHOLE = module(CODE, SPEED + TARGET)
-SPLIT = WHOLE.replace(f"  {TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}", "")
+INT_OR_REAL = module(CODE, SPEED + TARGET)
+SPLIT = INT_OR_REAL.replace(f"  {TOOLDATA}\n  {WOBJ}\n{SPEED}{TARGET}", "")
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def beside(tmp_path):
 
 
 def test_data_of_another_module_are_those_of_the_program(beside):
-    whole, split = read(WHOLE), beside(SPLIT)
+    whole, split = read(INT_OR_REAL), beside(SPLIT)
     assert np.array_equal(split.motions.target, whole.motions.target)
     assert np.array_equal(split.motions.feed, whole.motions.feed, equal_nan=True)
     assert np.array_equal(split.bases, whole.bases)
@@ -160,7 +160,7 @@ def test_local_names_may_be_those_of_other_modules(beside, tmp_path):
     (tmp_path / "more.mod").write_text(text)
     files = ["CalibData.mod", "more.mod"]
     program = beside(SPLIT, "LOCAL PROC clean()\nENDPROC", files)
-    assert np.array_equal(program.motions.feed, read(WHOLE).motions.feed, equal_nan=True)
+    assert np.array_equal(program.motions.feed, read(INT_OR_REAL).motions.feed, equal_nan=True)
     hiding = module(CODE, SPEED.replace("  CONST", "  LOCAL CONST").replace("37", "21")).replace(
         f"  {TOOLDATA}\n  {WOBJ}\n", ""
     )

@@ -15,13 +15,13 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import VariableValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
-from postproc.dialects.krl.read.state import DEFAULT_CDIS, DEFAULT_SPEED, FIELDS, State
+from postproc.dialects.krl.read.state import DEFAULT_CDIS, DEFAULT_SPEED, FIELD_OF_SETTING, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.frames import M_PER_MM
 
 _SPLINE_VARIABLES = {"$CIRC_MODE": "auxiliary", "$SPL_ORI_JOINT_AUTO": "wrist_mode"}
 """Variables of spline motions, which BAS does not set, and the fields of the `State` that they set."""
-_MOTION_VARIABLES = tuple(name for name in FIELDS if name not in _SPLINE_VARIABLES)
+_MOTION_VARIABLES = tuple(name for name in FIELD_OF_SETTING if name not in _SPLINE_VARIABLES)
 BAS_SETS = {
     "#INITMOV": _MOTION_VARIABLES,
     "#VEL_CP": ("$VEL",),
@@ -189,7 +189,7 @@ class Bas:
             state = self.path.state_with_distance(state, place, "CDIS", self._reference("LDAT_ACT", "APO_DIST", place))
         for name, field in (("$ORI_TYPE", "ORI_TYP"), ("$CIRC_TYPE", "CIRC_TYP")):
             if field in lacking:
-                state = state.with_values(**{FIELDS[name]: MODES[name][0]})
+                state = state.with_values(**{FIELD_OF_SETTING[name]: MODES[name][0]})
             else:
                 state = self.path.state_with_mode(state, place, name, self._reference("LDAT_ACT", field, place))
         return state

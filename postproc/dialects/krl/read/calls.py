@@ -1,4 +1,8 @@
-"""Calls: a called routine is followed too, statement by statement, if this can be done exactly."""
+"""Calls: a called routine is followed too, statement by statement, if this can be done exactly.
+
+The execution trace: the lines of the program in the order in which they are executed, as rows. Called routines with
+motions or force comments are part of it. A place is a line of a file.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +21,8 @@ from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact_error
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
-from postproc.dialects.krl.read.state import FIELDS, RELEVANT, STORED_VARIABLES, fields_of
-from postproc.dialects.krl.read.variables import WHOLE, convert_to_type
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING, MOTION_SETTINGS, STORED_VARIABLES, fields_of
+from postproc.dialects.krl.read.variables import INT_OR_REAL, convert_to_type
 from postproc.errors import Issue, ProgramError
 
 _MAX_CALL_DEPTH = 20
@@ -90,7 +94,8 @@ class Calls:
     def follow_call(self, place: Place, call: Call, *, is_certain: bool) -> VariableValue:
         """Follow a call, and return the value of the function, if it is one.
 
-        A routine that cannot be run exactly is not run: all that it may write becomes unknown.
+        A routine that cannot be run exactly is not run: all that it may write becomes unknown. A routine of the
+        execution trace is entered by `enter_routine` instead, where it surely runs.
 
         :param is_certain: True if the call runs exactly once. If False, only a routine without side effects is run.
         :returns: an `UnknownValue` if the value is not known before run time, or the routine gives none.
@@ -114,7 +119,7 @@ class Calls:
             self.run.waiting_calls.append(self.run.row)
         if _has_no_effects(effects):  # may be run even if it is not certain that the program runs it
             result = None if self._obstacle(place, call, *callee, effects) else self._run_exactly(place, call, *callee)
-            if effects.turn_speed is not None and (result is None or not is_certain):  # may have set them
+            if effects.turn_speed_place is not None and (result is None or not is_certain):  # may have set them
                 self.run.settings.forget_turn_speeds(self.run.row)
             return unknown if result is None else result
         if is_certain and not self._obstacle(place, call, *callee, effects):
@@ -130,9 +135,10 @@ class Calls:
         return unknown
 
     def _note_break_off(self, place: Place, call: Call) -> None:
-        """Add a call to `interruptible_calls` if RESUME of an interrupt may break it off, and the motion before it.
+        """Add a call to `Run.interruptible_calls` if RESUME of an interrupt may break it off, and the motion before it.
 
-        Functions of the controller are not broken off. Calls in routines that are not traced do not count.
+        The robot may then be anywhere on that motion. Functions of the controller are not broken off. Calls in routines
+        that are not traced do not count.
         """
         if not self.run.may_be_broken_off or not self.run.is_traced or call.name in PURE or call.name in STANDARD:
             return
@@ -141,7 +147,7 @@ class Calls:
         self.run.interruptible_calls.append((self.run.row, reason))
 
     def write_place(self, call: Call, name: str) -> Place | None:
-        """Return a place at which a called routine may write a variable.
+        """Return the line at which a called routine may write a variable.
 
         :param name: stored name of the variable.
         :returns: None if the routine does not write the variable, or is in no file.
@@ -176,7 +182,7 @@ class Calls:
             raise place.error(problem, "Change a variable of a .dat there, or make the parameter :IN.")
         self.run.absent_calls += [(name, self.run.reported_line) for name in effects.absent_calls.values()]
         self.run.may_be_broken_off |= effects.resume is not None
-        settings = sorted(RELEVANT.intersection(effects.volatile_writes))
+        settings = sorted(MOTION_SETTINGS.intersection(effects.volatile_writes))
         if settings:
             problem = f"{subject} changes what motions depend on at any time: {', '.join(settings)}"
             change_place = str(effects.volatile_writes[settings[0]])
@@ -189,7 +195,7 @@ class Calls:
         :param routine: the called routine; None if it is in no file.
         """
         for _, reference in self._writable_arguments(place, call, routine):
-            if reference.name in FIELDS:
+            if reference.name in FIELD_OF_SETTING:  # a setting of motions, such as $BASE
                 problem = f"{reference.name} is given to {call.name}, which may change it"
                 self.run.settings.make_uncertain(
                     self.run.row, fields_of(reference.name), place.error(problem, SETTING_ADVICE)
@@ -214,20 +220,25 @@ class Calls:
         ]
 
     def _forget_written_variables(self, place: Place, name: str, effects: Effects) -> None:
-        """Mark as unknown all variables and settings that a routine may write, since it may run any number of times.
+        """Mark as unknown all variables and settings that a routine may write, since it is not run here.
 
+        Settings are unknown from the present row of the execution trace on.
+
+        :param place: the call.
         :param name: name of the routine, for messages.
         """
+        trace_row = self.run.row
         for variable, write_place in effects.writes.items():
-            if variable in RELEVANT:
+            if variable in MOTION_SETTINGS:
                 problem = f"{name} may change {variable} ({write_place})"
                 # variables without a field of the `State`, such as $ROBROOT: frames depend on them
-                fields = fields_of(variable) if variable in FIELDS else ["base", "tool"]
-                self.run.settings.make_uncertain(self.run.row, fields, place.error(problem, SETTING_ADVICE))
+                fields = fields_of(variable) if variable in FIELD_OF_SETTING else ["base", "tool"]
+                self.run.settings.make_uncertain(trace_row, fields, place.error(problem, SETTING_ADVICE))
             else:
                 self.run.variables.forget(variable, str(write_place))
-        if effects.turn_speed is not None:
-            self.run.settings.forget_turn_speeds(self.run.row)
+        # not among `writes`: no motion is refused for an unknown speed of turning (`$VEL.ORI1`, `$VEL.ORI2`)
+        if effects.turn_speed_place is not None:
+            self.run.settings.forget_turn_speeds(trace_row)
 
     def _check_motion(self, place: Place, call: Call, module: Module, routine: Routine, effects: Effects) -> None:
         """Check the call of a routine that is not in the trace, if it contains motions or force comments.
@@ -353,7 +364,7 @@ class Calls:
         :param module: the module of the called routine.
         :param effects: what the routine writes, and whether it jumps.
         """
-        if routine in self.run.stack:
+        if routine in self.run.stack:  # it is running already
             return "it calls itself"
         if self.run.may_be_broken_off:
             return "RESUME of an interrupt may break it off"
@@ -363,15 +374,16 @@ class Calls:
             return f"more than {_MAX_CALL_DEPTH} calls are within each other"
         if len(call.arguments) > len(routine.parameters):
             return f"it takes {len(routine.parameters)} arguments, {len(call.arguments)} are given"
-        roots: set[str] = set()  # stored names of the variables, or of the arrays whose elements, are arguments
+        roots: set[str] = set()  # stored names of the arguments; of an element, that of its array
         for index, reference in self._writable_arguments(place, call, routine):
             name, root = place.source.text[reference.start : reference.stop], self.run.stored_name(reference.name)
-            # no index in the brackets: a whole array
-            if reference.indices == () and not self._is_matching_array(routine, index, reference, root):
+            is_whole_array = reference.indices == ()  # ``P[]``
+            if is_whole_array and not self._is_matching_array(routine, index, reference, root):
                 return f"{name} is a whole array, and its parameter is not one of that type"
-            if root in roots or root in effects.writes or root in RELEVANT:
+            if root in roots or root in effects.writes or root in MOTION_SETTINGS:
                 return f"{name} has two names in it, one as its parameter"
             roots.add(root)
+        # variables of the arguments that the routine also names itself
         if roots and (aliases := self.run.analysis.variable_names(module, routine) & roots):
             return f"{min(aliases)} has two names in it, one as its parameter"
         return ""
@@ -466,9 +478,9 @@ class Calls:
             declared_type = bound.routine.types.get(parameter.name, "")
             # a parameter with :IN has no argument type: its value is separate from the argument
             argument_type = bound.argument_types.get(index, declared_type)
-            may_be_rounded = declared_type == "REAL" and argument_type in ("INT", WHOLE)
+            may_be_rounded = declared_type == "REAL" and argument_type in ("INT", INT_OR_REAL)
             may_be_rounded |= declared_type == "INT" and argument_type != "INT"
-            parameter_type = WHOLE if may_be_rounded else declared_type  # see `_BoundCall.argument_types`
+            parameter_type = INT_OR_REAL if may_be_rounded else declared_type  # see `_BoundCall.argument_types`
             if parameter_type:
                 self.run.variables.types[stored_name] = parameter_type
             argument_value = bound.argument_values.get(index, NO_VALUE)
@@ -501,9 +513,11 @@ class Calls:
         place, variables = bound.place, self.run.variables
         for index, reference, key in bound.references:
             value = variables.value(bound.scope.stored_name(bound.routine.parameters[index].name))
-            if value is bound.argument_values[index] or value is None:  # the parameter has not been set
+            # the same object as `_begin_routine` has stored: the parameter has not been set
+            if value is bound.argument_values[index] or value is None:
                 continue
-            if key is None or (reference.name[0] == "$" and reference.name not in STORED_VARIABLES):
+            is_controller_variable = reference.name[0] == "$" and reference.name not in STORED_VARIABLES
+            if key is None or is_controller_variable:  # None: the index of the element is not known
                 variables.forget(self.run.stored_name(reference.name), str(place))
             elif reference.field is not None:
                 variables.set_field(key, reference.field, value, place)
@@ -514,7 +528,8 @@ class Calls:
 def _has_no_effects(effects: Effects) -> bool:
     """Return whether a routine only gives a value: it writes no variable outside, moves nothing and does not jump.
 
-    Turn speeds (`Effects.turn_speed`) do not count: it may set them.
+    Such a routine may be run to get its value even where it is not certain that the program runs it. Turn speeds
+    (`Effects.turn_speed_place`) do not count: it may set them.
     """
     changes = effects.writes or effects.volatile_writes or effects.absent_calls
     moves = effects.motion or effects.interrupt_motion or effects.force_comment or effects.resume
@@ -568,8 +583,8 @@ class _BoundCall(Struct, frozen=True, eq=False):
     :param references: arguments that the routine may write.
     :param argument_values: index → value, of all arguments.
     :param argument_types: index → type, of `references`. A REAL parameter whose argument is an INT, or an INT parameter
-        whose argument is a REAL, gets the type `WHOLE`: no source says whether the routine then reads the number that
-        it assigned or the number that the variable of the caller keeps of it.
+        whose argument is a REAL, gets the type `INT_OR_REAL`: no source says whether the routine then reads the number
+        that it assigned or the number that the variable of the caller keeps of it.
     :param volatile_names: stored names of parameters whose arguments may change at any time, and what changes them.
     :param caller: the calling routine; `caller_scope` is the scope of its names.
     """

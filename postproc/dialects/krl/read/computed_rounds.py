@@ -24,7 +24,7 @@ from postproc.dialects.krl.language.values import Aggregate, Call, Number, Opera
 from postproc.dialects.krl.read import plain_settings
 from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader, has_plain_tail, may_be_point_name
 from postproc.dialects.krl.read.run import Run
-from postproc.dialects.krl.read.state import RELEVANT
+from postproc.dialects.krl.read.state import MOTION_SETTINGS
 from postproc.dialects.krl.read.variables import FUNCTIONS, convert_to_type, operation_result, variable_of
 from postproc.errors import ProgramError
 
@@ -81,7 +81,7 @@ def _sets_whole_variable(stmt: Assignment, counter: str) -> bool:
     :param counter: name of the counter, upper case.
     """
     target = stmt.target
-    return target.indices is None and target.field is None and target.name not in (counter, *RELEVANT)
+    return target.indices is None and target.field is None and target.name not in (counter, *MOTION_SETTINGS)
 
 
 def _is_computable(value: Value, unset_names: set[str]) -> bool:

@@ -60,7 +60,7 @@ class Effects(Struct, eq=False):
         time afterwards → the statement that does it.
     :ivar motion: place of a motion; None if there is none.
     :ivar waits: True if the robot waits, see `waits`.
-    :ivar turn_speed: place at which `$VEL.ORI1` or `$VEL.ORI2` is set; None if there is none.
+    :ivar turn_speed_place: place at which `$VEL.ORI1` or `$VEL.ORI2` is set; None if there is none.
     :ivar interrupt_motion: place of a motion in a GLOBAL interrupt that the code declares; None if there is none.
     :ivar return_motion: place of a motion back to where an interrupt stopped the robot; None if there is none.
     :ivar force_comment: place of a force comment; None if there is none.
@@ -76,7 +76,7 @@ class Effects(Struct, eq=False):
     volatile_writes: dict[str, Place] = {}
     motion: Place | None = None
     waits: bool = False
-    turn_speed: Place | None = None
+    turn_speed_place: Place | None = None
     interrupt_motion: Place | None = None
     return_motion: Place | None = None
     force_comment: Place | None = None
@@ -111,7 +111,7 @@ class Effects(Struct, eq=False):
         """Add the effects that count for called routines and actions alike: absent calls, motions, speeds, RESUME."""
         self.absent_calls = effects.absent_calls | self.absent_calls
         self.motion = self.motion or effects.motion
-        self.turn_speed = self.turn_speed or effects.turn_speed
+        self.turn_speed_place = self.turn_speed_place or effects.turn_speed_place
         self.return_motion = self.return_motion or effects.return_motion
         self.resume = self.resume or effects.resume
 
@@ -392,7 +392,7 @@ class _Statement(Struct, eq=False):
         elif isinstance(stmt, Assignment):
             component = _PATH_COMPONENTS.get(stmt.target.name)  # other components have no effect on the path
             if stmt.target.name == "$VEL" and stmt.target.field in _TURN_SPEEDS:
-                self.effects.turn_speed = self.effects.turn_speed or self.place
+                self.effects.turn_speed_place = self.effects.turn_speed_place or self.place
             if component is None or stmt.target.field in (None, component):
                 self.note_write(stmt.target.name)
         self._note_calls(stmt.values)

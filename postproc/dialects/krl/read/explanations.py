@@ -20,7 +20,7 @@ from postproc.dialects.krl.language.values import (
     walk,
 )
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
-from postproc.dialects.krl.read.state import RELEVANT
+from postproc.dialects.krl.read.state import MOTION_SETTINGS
 from postproc.dialects.krl.read.variables import Variables
 
 _MAX_TEXT_LENGTH = 80
@@ -36,7 +36,7 @@ def names_without_value(variables: Variables, source: Source, values: Iterable[V
     """
     spellings: dict[str, None] = {}
     for value in walk(values):
-        if not isinstance(value, Reference) or value.field is not None or value.name in RELEVANT:
+        if not isinstance(value, Reference) or value.field is not None or value.name in MOTION_SETTINGS:
             continue
         key = variables.key_of(value)
         # "@" is in the stored names of local variables of a call

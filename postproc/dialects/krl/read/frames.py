@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
-from postproc.dialects.krl.read.state import FIELDS, Reasons, State
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING, Reasons, State
 from postproc.dialects.krl.read.variables import ANGLES, Variables, component, with_component
 from postproc.errors import ProgramError
 from postproc.frames import Array
@@ -107,7 +107,7 @@ class Frames:
         :param place: file and line of the statement, for messages.
         """
         return self.reasons.state_with_unknown(
-            state, FIELDS[name], place.error(f"{name} is not known: {reason}", _FRAME_ADVICE)
+            state, FIELD_OF_SETTING[name], place.error(f"{name} is not known: {reason}", _FRAME_ADVICE)
         )
 
     def frames_of_cell(self, state: State) -> set[str]:
@@ -202,7 +202,7 @@ class Frames:
         row = self._rows[name, position.values]
         if not _has_angles_in_range(position):
             self._frames_with_uncertain_angles.add((name, row))
-        return state.with_values(**{FIELDS[name]: row})
+        return state.with_values(**{FIELD_OF_SETTING[name]: row})
 
 
 def _has_angles_in_range(position: Position) -> bool:

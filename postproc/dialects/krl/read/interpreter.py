@@ -21,7 +21,7 @@ from postproc.dialects.krl.read.data_lists import declare_variables
 from postproc.dialects.krl.read.explanations import names_without_value, why_not_decided, why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact_error, stored_originals
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
-from postproc.dialects.krl.read.state import RELEVANT, STORED_VARIABLES, State
+from postproc.dialects.krl.read.state import MOTION_SETTINGS, STORED_VARIABLES, State
 from postproc.dialects.krl.read.variables import Variables, convert_to_type
 
 _CLOSING = {closing: opening for opening, closing in OPENING.items()} | {"UNTIL": "REPEAT"}
@@ -29,8 +29,8 @@ _ASYNCHRONOUS_MOTIONS = frozenset({"ASYPTP", "ASYCONT", "ASYSTOP", "ASYCANCEL"})
 """Calls that move external axes, or stop them, while the program continues."""
 _SUPERPOSED_MOTIONS = frozenset({"$TECH", "$TECH_C", "$SPL_TECH", "$SPL_TECH_C"})
 """Function generators, which swing the tool about its path (KUKA, System Variables)."""
-_TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
-"""Statements of spline motions that count from the start or the end of the motion that follows."""
+_SPLINE_TRIGGER_WORDS = frozenset({"CONST_VEL", "STOP"})
+"""Statements whose distances count from the start or the end of the spline motion that follows, as in a TRIGGER."""
 _SIMPLE_STATEMENTS = (tree.Assignment, tree.CallStatement)
 _MOTION_STATEMENTS = (tree.Motion, tree.Spline, tree.EndSpline)
 _CONDITION_WORDS = frozenset({"FOR", "IF", "WHILE", "UNTIL", "SWITCH"})
@@ -111,12 +111,12 @@ class Interpreter:
         external axes are refused here too.
 
         :param place: file and line of the statement.
-        :returns: False if the statement does not control execution; nothing is followed then.
+        :returns: False for any other statement; nothing is followed then.
         :raises ProgramError: the statement closes a structure that is not open, is a GOTO that may run or not, or
             moves external axes.
         """
         level, word = self.run.level, stmt.word
-        if word in OPENING or word == "REPEAT":  # REPEAT ends with UNTIL
+        if word in OPENING or word == "REPEAT":  # not in `OPENING`, because it ends with UNTIL
             level.open_structures.append((word, place.line))
         elif word in _CLOSING:
             if not level.open_structures or level.open_structures[-1][0] != _CLOSING[word]:
@@ -154,13 +154,14 @@ class Interpreter:
             return
         if stmt.word != "STOP" and not self.run.settings.state.spline_block:
             raise place.error(f"{stmt.word} outside of a spline block", "Write it between SPLINE and ENDSPLINE.")
-        if stmt.word in _TRIGGER_WORDS:
+        if stmt.word in _SPLINE_TRIGGER_WORDS:
             self.run.triggers.append(self.run.row)
 
     def _follow_return(self, place: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
-        A RETURN that may not run is passed over in the main routine, and refused in a called routine.
+        A RETURN that may not run is passed over in the main routine: what follows is corrected for the case that it runs.
+        In a called routine it is refused: it would not be known what the routine does.
 
         :param place: file and line of the RETURN.
         :raises InexactError: the RETURN may not run, and is in a called routine.
@@ -234,7 +235,7 @@ class Interpreter:
         :param place: file and line of the statement.
         :raises ProgramError: the variable is a setting of motions.
         """
-        if stmt.name in RELEVANT:
+        if stmt.name in MOTION_SETTINGS:
             raise place.error(f"{stmt.word} changes {stmt.name} at any time", SETTING_ADVICE)
         self.run.note_cyclic_change(place, self.run.stored_name(stmt.name))
         if isinstance(stmt, tree.Import):
@@ -286,7 +287,7 @@ class Interpreter:
     def assign(self, place: Place, target: Reference, expression: Value) -> None:
         """Follow an assignment.
 
-        Variables of the controller become unknown, but for `STORED_VARIABLES`.
+        Variables of the controller become unknown, since it may change them itself; but for `STORED_VARIABLES`.
 
         :param place: file and line of the assignment.
         :param target: the variable, array element or component that it sets; `expression` gives the value.
@@ -294,10 +295,11 @@ class Interpreter:
         """
         self.follow_functions(place, [target])
         name = target.name
-        if name in RELEVANT:
+        if name in MOTION_SETTINGS:
             self._assign_setting(place, target, expression)
             return
-        old_key = self.run.variables.key_of(target)  # a call in the expression may change the index
+        # name of the variable or array element; a call in the expression may change the index of the element
+        key_before_calls = self.run.variables.key_of(target)
         # only in the file of the program are the numbers of a copied point corrected where they are written
         is_copied = target.field is None and self.run.is_traced and place.source is self.run.routine.source
         value = self.calls.evaluate_with_calls(place, expression, is_copied=is_copied)
@@ -313,9 +315,9 @@ class Interpreter:
             self.run.note_followed_names(target.start)
         key, stored_name = self.run.variables.key_of(target), self.run.stored_name(name)
         is_whole_array = target.indices == ()  # ``P[]``
-        if key != old_key:
+        if key != key_before_calls:
             self.run.variables.forget(stored_name, self._unknown_element_reason(place, target, expression))
-        elif not self.run.is_certain or key is None or is_whole_array:
+        elif not self.run.is_certain or key is None or is_whole_array:  # None: the index is not known
             self.run.variables.forget(stored_name, str(place))
         elif name == "$H_POS" and target.field is None and value == NO_VALUE:
             pass  # a position that is in no file: the home position of the cell stays
@@ -325,17 +327,23 @@ class Interpreter:
     def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
         """Give a variable, or a member of it, the value of an assignment.
 
-        An unknown value is stored as it is if it states where it was changed, and either why, or the whole variable is
-        set. Else the variable becomes unknown at the assignment, for the reason that the expression is not known.
+        An unknown value keeps the place and the reason that it has, since they lead to the cause. Where it lacks them, it
+        gets those of this assignment. A copied variable needs no reason: its place says enough.
 
         :param place: file and line of the assignment.
-        :param target: the variable as the statement names it; `key` is its stored name.
+        :param target: the variable as the statement names it.
+        :param key: stored name of the variable or array element, see `Variables`.
         :param value: value of the expression.
         """
-        if isinstance(value, UnknownValue) and not (value.change_place and (value.reason or target.field is None)):
-            value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
+        is_whole_variable = target.field is None
+        if isinstance(value, UnknownValue):
+            has_cause = value.change_place and (value.reason or is_whole_variable)
+            if not has_cause:
+                value = UnknownValue(str(place), why_unknown(self.run.variables, place.source, expression))
         if target.field is None:
-            self.run.note_copy(expression, value, target.name)
+            self.run.note_copy(
+                expression, value, target.name
+            )  # the numbers of a copied point are corrected at its text
             self.run.variables.set(key, value, place)
         else:
             self.run.variables.set_field(key, target.field, value, place)

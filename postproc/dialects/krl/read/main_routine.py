@@ -44,7 +44,7 @@ from postproc.dialects.krl.read.plain_rounds import ElementMotions, motions_and_
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, PlainSettings
 from postproc.dialects.krl.read.run import Run
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.state import FIELDS
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING
 from postproc.dialects.krl.read.tracing import Recorder
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import MAX_ERRORS, ProgramError, combined_error
@@ -550,7 +550,9 @@ class TraceFollower:
         if self._faulty_names.isdisjoint(names):
             self._errors.append(cause)
         # the first name is the variable that the statement sets
-        self._faulty_names.update(name for name in names[:1] if name not in FIELDS and name not in _INSTRUCTION_WORDS)
+        self._faulty_names.update(
+            name for name in names[:1] if name not in FIELD_OF_SETTING and name not in _INSTRUCTION_WORDS
+        )
 
     def _take_motion(self, place: Place, stmt: Statement) -> None:
         """Run the functions in a motion, and collect it.

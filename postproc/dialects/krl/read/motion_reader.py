@@ -17,7 +17,7 @@ from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.frames import out_of_reach_error
 from postproc.dialects.krl.read.known import NO_VALUE, unresolved_error
 from postproc.dialects.krl.read.settings import Settings
-from postproc.dialects.krl.read.state import RELEVANT, State, fields_used
+from postproc.dialects.krl.read.state import MOTION_SETTINGS, State, fields_used
 from postproc.errors import ProgramError
 from postproc.program import CIRC, LIN, PTP, SPL
 
@@ -253,8 +253,8 @@ class MotionReader:
         :raises ProgramError: the value reads a setting.
         """
         variable_names = [part.name for part in walk([] if value is None else [value]) if isinstance(part, Reference)]
-        if not RELEVANT.isdisjoint(variable_names):
-            name = min(RELEVANT.intersection(variable_names))
+        if not MOTION_SETTINGS.isdisjoint(variable_names):
+            name = min(MOTION_SETTINGS.intersection(variable_names))
             problem = f"{subject}: whether {name} is the one before WITH or behind it is in no source"
             raise place.error(problem, f"Assign {name} to a variable in a line before, and use that.")
 
@@ -288,7 +288,7 @@ class MotionReader:
                 raise place.error(f"{text[item.start : item.stop]!r} is not understood", advice="Check its spelling.")
             if has_axis_target and item.target.name == "$IPO_MODE":
                 continue
-            if item.target.name in RELEVANT:
+            if item.target.name in MOTION_SETTINGS:
                 self._check_independence_of_with(place, item.target.name, item.value)
                 state = self.settings.state_after_assignment(state, place, item.target, item.value)
             elif not item.target.name.startswith(_NAMES_WITHOUT_EFFECT):

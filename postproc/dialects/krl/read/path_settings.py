@@ -9,7 +9,7 @@ from postproc.dialects.krl.language.values import Aggregate, Call, Value, Word
 from postproc.dialects.krl.layout import ORIENTATIONS
 from postproc.dialects.krl.read.explanations import why_unknown
 from postproc.dialects.krl.read.known import NO_VALUE, VariableValue
-from postproc.dialects.krl.read.state import FIELDS, TURN_SPEEDS, Reasons, State
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING, TURN_SPEEDS, Reasons, State
 from postproc.dialects.krl.read.variables import Variables
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM, RAD_PER_DEG
@@ -118,13 +118,13 @@ class PathSettings:
         if isinstance(word, ProgramError):
             if name == "$IPO_MODE":
                 raise word
-            return self.reasons.state_with_unknown(state, FIELDS[name], word)
+            return self.reasons.state_with_unknown(state, FIELD_OF_SETTING[name], word)
         if name == "$IPO_MODE":
             if word != "#BASE":
                 problem = f"$IPO_MODE {word}: the workpiece is moved by the robot"
                 raise place.error(problem, "Only $IPO_MODE=#BASE (the robot moves the tool) can be corrected.")
             return state
-        return state.with_values(**{FIELDS[name]: word})
+        return state.with_values(**{FIELD_OF_SETTING[name]: word})
 
     def state_with_auxiliary(
         self, state: State, place: Place, field: str | None, value: Value | VariableValue

@@ -29,7 +29,7 @@ from postproc.dialects.krl.read.motion_reader import KINDS, MotionReader, has_pl
 from postproc.dialects.krl.read.path_settings import FASTEST
 from postproc.dialects.krl.read.plain_settings import NUMBERS, PlainSettings
 from postproc.dialects.krl.read.run import Run
-from postproc.dialects.krl.read.state import FIELDS
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING
 from postproc.frames import M_PER_MM
 from postproc.program import Ints
 
@@ -185,7 +185,7 @@ def _settings_of_rounds(run: Run, rounds: PlainRounds) -> PlainSettings | None:
         numbers = run.variables.numbers(run.stored_name(stmt.value.name), indices)
         if numbers is None:
             return None
-        field = FIELDS[stmt.target.name]
+        field = FIELD_OF_SETTING[stmt.target.name]
         is_allowed = (numbers > 0.0) & (numbers <= FASTEST) if field == "speed" else numbers >= 0.0
         if not is_allowed.all():
             return None

@@ -14,7 +14,7 @@ from postproc.dialects.krl.read.frames import Frames
 from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue
 from postproc.dialects.krl.read.path_settings import MODES, PathSettings
 from postproc.dialects.krl.read.plain_settings import PlainAssignments, no_settings
-from postproc.dialects.krl.read.state import FIELDS, TURN_SPEEDS, Reasons, State
+from postproc.dialects.krl.read.state import FIELD_OF_SETTING, TURN_SPEEDS, Reasons, State
 from postproc.dialects.krl.read.variables import ZERO, Variables, component
 from postproc.errors import ProgramError
 from postproc.frames import M_PER_MM
@@ -56,7 +56,7 @@ class Settings:
         if name in ("$BASE", "$TOOL"):
             return self.frames.current_value(state, name, field)
         for uncertain_field, index in state.uncertain_fields:
-            if uncertain_field == FIELDS.get(name):
+            if uncertain_field == FIELD_OF_SETTING.get(name):
                 return UnknownValue(reason=self._reasons.errors[index].problem)
         if name in ("$WORLD", "$ROBROOT"):
             if field is None:
@@ -67,7 +67,7 @@ class Settings:
         if (name, field) == ("$APO", "CDIS"):
             return self._followed_number(state.cdis / M_PER_MM)
         if field is None and name in MODES:
-            return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELDS[name])), 0, 0)
+            return Word("#BASE" if name == "$IPO_MODE" else str(getattr(state, FIELD_OF_SETTING[name])), 0, 0)
         return NO_VALUE
 
     def _followed_number(self, value: float) -> VariableValue:
@@ -112,7 +112,7 @@ class Settings:
         self.change_state(line, state)
 
     def forget_turn_speeds(self, line: int) -> None:
-        """Treat `$VEL.ORI1` and `$VEL.ORI2` as not stated (infinite) from a line of the program on."""
+        """Treat the turn speeds `$VEL.ORI1` and `$VEL.ORI2` as not stated (infinite) from a row of the trace on."""
         self.change_state(line, self.state.with_values(**dict.fromkeys(TURN_SPEEDS, math.inf)))
 
     def refuse_uncertain(self, state: State, fields: Iterable[str]) -> None:

@@ -23,7 +23,7 @@ DEFAULT_SPEED = 2.0
 DEFAULT_CDIS = 3.0
 """What `BAS(#INITMOV,0)` gives `$APO.CDIS` [mm]."""
 
-FIELDS = {
+FIELD_OF_SETTING = {
     "$BASE": "base",
     "$TOOL": "tool",
     "$VEL": "speed",
@@ -33,12 +33,13 @@ FIELDS = {
     "$CIRC_MODE": "auxiliary",
     "$SPL_ORI_JOINT_AUTO": "wrist_mode",
 }
-"""What of the `State` a variable sets; the others of `RELEVANT` must not change at all."""
+"""System variable → field of the `State` that it sets. The other `MOTION_SETTINGS` must not change at all."""
 TURN_SPEEDS = ("swivel_speed", "rotation_speed")
-"""Fields that `$VEL.ORI1` and `$VEL.ORI2` set. One that is not known is infinite: forces depend on it, not the path,
-and no motion is refused for it."""
-RELEVANT = frozenset({*FIELDS, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"})
-"""System variables that a motion depends on."""
+"""Fields for the turn speeds `$VEL.ORI1` and `$VEL.ORI2`, the largest speeds at which the tool turns. One that is not
+known is infinite: the time that motions take depends on it, and with it the force, but not the path, so that no motion
+is refused for it."""
+MOTION_SETTINGS = frozenset({*FIELD_OF_SETTING, "$IPO_MODE", "$ROBROOT", "$WORLD", "$EX_AX_IGNORE"})
+"""System variables that the path of a motion depends on."""
 STORED_VARIABLES = frozenset({"$H_POS", "$FLAG"})
 """Other system variables that keep what a program writes until a program writes them again."""
 
@@ -92,11 +93,11 @@ class State(Struct, frozen=True):
 
         `is_speed_assumed`, `initial_frames`, `spline_block` and `uncertain_fields` are not compared.
         """
-        fields = (*FIELDS.values(), *TURN_SPEEDS)
+        fields = (*FIELD_OF_SETTING.values(), *TURN_SPEEDS)
         return {field for field in fields if getattr(self, field) != getattr(other_state, field)}
 
     def without_turn_speeds(self) -> State:
-        """Return the state with infinite turn speeds, so that a comparison of two states disregards them."""
+        """Return the state with infinite `TURN_SPEEDS`, so that a comparison of two states disregards them."""
         return replace(self, swivel_speed=math.inf, rotation_speed=math.inf)
 
 
@@ -171,7 +172,7 @@ class Reasons:
 
 def fields_of(variable: str) -> list[str]:
     """Return the fields of the `State` that a variable sets."""
-    return [FIELDS[variable], *(TURN_SPEEDS if variable == "$VEL" else ())]
+    return [FIELD_OF_SETTING[variable], *(TURN_SPEEDS if variable == "$VEL" else ())]
 
 
 def fields_used(kind: int, *, has_axis_target: bool, is_approximated: bool) -> list[str]:

@@ -39,12 +39,14 @@ from postproc.dialects.krl.language.values import (
 )
 from postproc.dialects.krl.read.conditions import as_term, condition_value, matches_case
 from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, UnparsedValue, VariableValue
-from postproc.dialects.krl.read.state import RELEVANT
+from postproc.dialects.krl.read.state import MOTION_SETTINGS
 from postproc.errors import CellError, ProgramError
 from postproc.frames import Array, inverse
 
-_COMPONENTS = frozenset({*CARTESIAN, *AXES, "S", "T"})
 _REAL_COMPONENTS = frozenset({*CARTESIAN, *AXES})
+"""Components of positions whose type is REAL: X … C and A1 … A6."""
+_COMPONENTS = _REAL_COMPONENTS | {"S", "T"}
+"""Components of positions; status S and turn T are INTs."""
 FUNCTIONS: dict[str, Callable[..., float]] = {
     "ABS": abs,
     "SQRT": math.sqrt,
@@ -61,7 +63,7 @@ _CONSTANT_TYPES = (Number, Word, OpaqueText)
 _EVALUATED_TYPES = (Number, Position, Word, UnknownValue)
 _TYPES_WITHOUT_PARTS = (Number, Word, Position, UnknownValue, OpaqueText, UnreadableText)
 ANGLES = CARTESIAN[3:]
-WHOLE = "INT or REAL"
+INT_OR_REAL = "INT or REAL"
 """Type of a parameter without ``:IN`` that is INT with a REAL argument, or the reverse: no source says which holds."""
 LARGEST_INT = 2.0**31
 """INTs are below this: they have 32 bits."""
@@ -75,7 +77,7 @@ _UNKNOWN_ROUNDING = UnknownValue(reason="to which side the quotient of negative 
 PARTLY_GIVEN = "not all of its components are given, and it had others"
 """Why a position is not known: the variable may keep the missing components, or lack them, so that a motion keeps the
 components of the robot position."""
-_LONE_MEMBER = "its structure had no value as a whole: give all members at once before"
+_LONE_MEMBER_REASON = "its structure had no value as a whole: give all members at once before"
 _ACTIVE_DATA = frozenset({"FDAT_ACT", "LDAT_ACT", "PDAT_ACT"})
 """Structures that the `$config.dat` always declares, with all members: an assigned member is known also where that file
 is not read."""
@@ -121,7 +123,7 @@ def operation_result(operator: str, a: float, b: float, *, are_integers: bool) -
 
 
 def variable_of(key: str) -> str:
-    """Return the stored name of the variable with a key: the key without the index of an element."""
+    """Return the stored name of a variable from its key, or from that of one of its elements: ``P`` of ``P[3]``."""
     return key.partition("[")[0]
 
 
@@ -161,8 +163,10 @@ class _NoFunctions:
 class Variables:
     """Values of variables at one moment of the run of a program.
 
-    A variable is given by its stored name, see `Scope`; an array element by the name of the array and its index:
-    ``P[3]``. Both are called keys.
+    A variable is given by its stored name: its name, upper case, with a prefix or suffix if variables of several
+    routines or files have that name, see `Scope`. An array element is given by the stored name of the array and its
+    index: ``P[3]``. Both are called keys. An expression with a variable that was never set gives `NO_VALUE`, which is an
+    `UnknownValue` that says neither where nor why.
 
     :ivar change_count: number of times that a value was replaced by another value.
     :ivar types: stored name → declared type, upper case.
@@ -176,7 +180,7 @@ class Variables:
     :ivar used_cell_values: keys of `cell_values` that any run has read.
     :ivar persistent_names: stored names of variables that keep their values from run to run: those of data lists,
         BASE_DATA and TOOL_DATA.
-    :ivar setting_value: function that returns the present value of one of the `RELEVANT` variables, or of one of its
+    :ivar setting_value: function that returns the present value of one of the `MOTION_SETTINGS`, or of one of its
         components, by name and component (None: the whole); see `Settings.current_value`.
     :ivar functions: the functions of the program, see `calls`.
     :ivar late_values: key → initial value, from data lists that are read when the program first calls their file; these
@@ -290,7 +294,8 @@ class Variables:
     def set(self, key: str, value: VariableValue, place: Place) -> None:
         """Set a variable to the value of an assignment, converted to its type, and note the change.
 
-        A position that lacks components which the variable may have makes the variable unknown.
+        The variable becomes unknown if it is set to a position without some components that its present value has, or
+        may have: no source says whether it then keeps them.
 
         :param key: stored name of the variable, or of an element, as ``P[3]``.
         :param place: the assignment.
@@ -305,7 +310,7 @@ class Variables:
         self.put(key, value)
 
     def _leaves_components_uncertain(self, key: str, new_position: Aggregate) -> bool:
-        """Return whether an aggregate is a position that lacks components which the variable may have.
+        """Return whether an aggregate is a position that lacks components which the variable has, or may have.
 
         It is not certain what becomes of these components: they may stay, or be missing.
 
@@ -316,14 +321,17 @@ class Variables:
             names = AXES if not new_position.items.keys().isdisjoint(AXES) else CARTESIAN
         missing_names = [name for name in names if name not in new_position.items]
         old_value = self.value(key)
-        if not missing_names or old_value is None or old_value == NO_VALUE:
+        was_never_set = old_value is None or old_value == NO_VALUE  # it has no components
+        if not missing_names or was_never_set:
             return False
-        return not isinstance(old_value, Aggregate) or any(name in old_value.items for name in missing_names)
+        if isinstance(old_value, Aggregate):
+            return any(name in old_value.items for name in missing_names)
+        return True  # unknown, or computed, with all components
 
     def set_field(self, key: str, field: str, value: VariableValue, place: Place) -> None:
         """Set one component of a variable, as ``XP1.X=5`` does, and note the change.
 
-        A variable that is unknown for a stated reason stays so.
+        A variable that is unknown for a stated reason stays so: the reason is of more use in messages.
 
         :param key: stored name of the variable, or of an element.
         :param field: path of the component, such as ``X`` or ``F.X``.
@@ -333,9 +341,11 @@ class Variables:
         name = variable_of(key)
         if name not in self.change_places:
             self.change_places[name] = str(place)
-        if name in _ACTIVE_DATA and old_value in (None, NO_VALUE):
-            old_value = Aggregate(place.source, 0, 0, "", {}, is_computed=True)
-        if not isinstance(old_value, UnknownValue) or not old_value.reason:
+        has_value = old_value not in (None, NO_VALUE)
+        if name in _ACTIVE_DATA and not has_value:
+            old_value = Aggregate(place.source, 0, 0, "", {}, is_computed=True)  # a structure without known members
+        is_unknown_for_reason = isinstance(old_value, UnknownValue) and bool(old_value.reason)
+        if not is_unknown_for_reason:
             self.put(key, self._value_with_component(old_value, field, value, place))
 
     def _value_with_component(
@@ -355,7 +365,7 @@ class Variables:
             new_position = with_component(old_value, field, value.value) if isinstance(value, Number) else None
             return unknown if new_position is None else new_position
         if old_value in (None, NO_VALUE) and not isinstance(value, UnknownValue):
-            return UnknownValue(str(place), _LONE_MEMBER)
+            return UnknownValue(str(place), _LONE_MEMBER_REASON)
         if not isinstance(old_value, Aggregate):
             return unknown
         if "[" not in field:  # elements of arrays in structures are not followed
@@ -371,7 +381,7 @@ class Variables:
     def forget(self, name: str, place: str) -> None:
         """Mark a variable and all its elements as unknown.
 
-        Variables of the controller that have no value stay as they are.
+        Variables of the controller that have no value stay as they are: nothing of their value was known.
 
         :param name: stored name of the variable.
         :param place: place of the statement that changes the variable, for messages.
@@ -525,7 +535,7 @@ class Variables:
         :raises ProgramError: the value cannot be read.
         """
         # `variable_of` is written out: values are read very often
-        if key[0] == "$" and (name := key.partition("[")[0]) in RELEVANT:
+        if key[0] == "$" and (name := key.partition("[")[0]) in MOTION_SETTINGS:
             return self.setting_value(name, None)
         if self.volatile_values and (name := key.partition("[")[0]) in self.volatile_values:
             return self.volatile_values[name]
@@ -709,7 +719,7 @@ class Variables:
 
     def value_of(self, reference: Reference) -> VariableValue:
         """Return the present value of a variable, an element or a component; `NO_VALUE` if it has none."""
-        if reference.name in RELEVANT:  # a setting of motions, such as $BASE
+        if reference.name in MOTION_SETTINGS:  # a setting of motions, such as $BASE
             return self.setting_value(reference.name, reference.field)
         key = self.key_of(reference)
         value = self.value(key) if key is not None else None
@@ -827,7 +837,7 @@ def _check_cell_values(keys: Iterable[str]) -> None:
     """
     for key in keys:
         name = key.partition("[")[0].partition(".")[0]
-        if name in RELEVANT or name in _SET_BY_PROGRAMS or name.startswith(_POSITION_PREFIXES):
+        if name in MOTION_SETTINGS or name in _SET_BY_PROGRAMS or name.startswith(_POSITION_PREFIXES):
             raise CellError(
                 f"[krl.values] cannot give {key}: the program changes it while it runs",
                 advice="Give inputs such as $IN[5], parameters and variables of the program.",
@@ -935,15 +945,15 @@ def convert_to_type(value: VariableValue, type_name: str) -> VariableValue:
 
     Values other than numbers are returned unchanged. For a type that is not known, a whole number may be an INT.
 
-    :param type_name: the type, upper case; empty if it is not known; `WHOLE` if it is REAL or INT.
+    :param type_name: the type, upper case; empty if it is not known; `INT_OR_REAL` if it is REAL or INT.
     :returns: an `UnknownValue` if the rounding is not certain, or the number is beyond 32 bits.
     """
     if not isinstance(value, Number) or type_name == "REAL":
         return replace(value, is_integer=False) if isinstance(value, Number) else value
     is_whole = value.value == int(value.value)
-    if type_name == WHOLE and not is_whole:
+    if type_name == INT_OR_REAL and not is_whole:
         return UnknownValue(reason=f"whether {value.value:g} is rounded to an INT is in no source")
-    if type_name in ("INT", WHOLE) and abs(value.value) >= LARGEST_INT:
+    if type_name in ("INT", INT_OR_REAL) and abs(value.value) >= LARGEST_INT:
         return _BEYOND_INT
     if type_name == "INT" and not is_whole:
         nearest = round(value.value)
