@@ -160,8 +160,8 @@ class Interpreter:
     def _follow_return(self, place: Place, stmt: tree.Return) -> None:
         """Follow RETURN: the routine ends, with its value if it is a function.
 
-        A RETURN that may not run is passed over in the main routine: what follows is corrected for the case that it runs.
-        In a called routine it is refused: it would not be known what the routine does.
+        A RETURN that may not run is passed over in the main routine: what follows is corrected for the case that it
+        runs. In a called routine it is refused: it would not be known what the routine does.
 
         :param place: file and line of the RETURN.
         :raises InexactError: the RETURN may not run, and is in a called routine.
@@ -327,8 +327,8 @@ class Interpreter:
     def _store(self, place: Place, target: Reference, key: str, expression: Value, value: VariableValue) -> None:
         """Give a variable, or a member of it, the value of an assignment.
 
-        An unknown value keeps the place and the reason that it has, since they lead to the cause. Where it lacks them, it
-        gets those of this assignment. A copied variable needs no reason: its place says enough.
+        An unknown value keeps the place and the reason that it has, since they lead to the cause. Where it lacks them,
+        it gets those of this assignment. A copied variable needs no reason: its place says enough.
 
         :param place: file and line of the assignment.
         :param target: the variable as the statement names it.

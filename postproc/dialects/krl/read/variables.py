@@ -165,8 +165,8 @@ class Variables:
 
     A variable is given by its stored name: its name, upper case, with a prefix or suffix if variables of several
     routines or files have that name, see `Scope`. An array element is given by the stored name of the array and its
-    index: ``P[3]``. Both are called keys. An expression with a variable that was never set gives `NO_VALUE`, which is an
-    `UnknownValue` that says neither where nor why.
+    index: ``P[3]``. Both are called keys. An expression with a variable that was never set gives `NO_VALUE`, which is
+    an `UnknownValue` that says neither where nor why.
 
     :ivar change_count: number of times that a value was replaced by another value.
     :ivar types: stored name → declared type, upper case.
