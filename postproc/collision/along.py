@@ -192,10 +192,10 @@ class _Search:
     def _travel(self, first: int, second: int) -> Array:
         """Return an upper bound on the relative travel of two bodies from the start to each sample (n,) [m].
 
-        It is computed once for each pair; all fixed bodies count as one.
+        It is computed once for each pair; all fixed bodies count as one, since none of them moves.
         """
         second_body = self.solids.bodies[second]
-        key = first, None if second_body.is_fixed else second
+        key = first, None if second_body.is_fixed else second  # None: any fixed body
         if key not in self._travels:
             steps = motion_bound(self.solids, first, second, self.q, self.frames)
             self._travels[key] = np.append(0.0, np.cumsum(steps))
@@ -204,8 +204,9 @@ class _Search:
     def _distance(self, first: int, second: int, frames: Array, *, solid: bool = False) -> Array:
         """Return the distances (n,) of two bodies [m], reduced by the displacement that each may have; at least 0.
 
-        :param frames: (n, 8, 4, 4) frames of the carriers, see `link_frames`.
-        :param solid: see `Solids.distance`.
+        :param first: row of a body in `Solids.bodies`, and `second` of the other.
+        :param frames: (n, 8, 4, 4) frames of the carriers (base, links, flange), see `link_frames`.
+        :param solid: True: the distance is 0 also if one body is inside of a mesh. False: only surfaces count.
         """
         reduction = self.reductions[first] + self.reductions[second]
         return np.asarray(np.maximum(self.solids.distance(first, second, frames, solid=solid) - reduction, 0.0))
@@ -259,9 +260,9 @@ class _Search:
             pair = np.stack([begin, end], axis=1).reshape(-1, begin.shape[1])
             length = motion_bound(self.solids, first, second, pair[:, :6], self._frames(pair))[::2]
             bound = 0.5 * (begin_distance + end_distance - length)
-            smaller = np.minimum(begin_distance, end_distance)
-            is_noted = (smaller < self.min_distance) | (smaller <= 0.0)  # reported already
-            may_hit = (bound < self.min_distance) & ~is_noted
+            smaller_distance = np.minimum(begin_distance, end_distance)
+            is_recorded = (smaller_distance < self.min_distance) | (smaller_distance <= 0.0)  # as a hit at an end
+            may_hit = (bound < self.min_distance) & ~is_recorded
             is_open = (may_hit | (bound < self._smallest_distance() - _DISTANCE_TOLERANCE)) & (length > _LEAST_MOTION)
             rows, begin, end = rows[is_open], begin[is_open], end[is_open]
             begin_distance, end_distance = begin_distance[is_open], end_distance[is_open]

@@ -136,7 +136,8 @@ class Scene(Struct, frozen=True, eq=False):
             for j, second in enumerate(self.bodies):
                 if first.is_fixed or (first.role == "cutter" and second.role == "part"):
                     continue
-                if first.carrier - second.carrier >= (1 if second.is_fixed else _CARRIER_GAP[first.role]):
+                joint_count = first.carrier - second.carrier  # that move the first body relative to the second
+                if joint_count >= (1 if second.is_fixed else _CARRIER_GAP[first.role]):
                     yield i, j
 
 
@@ -228,36 +229,41 @@ class Cylinder(Struct, frozen=True):
     cuts: bool
 
 
-def cylinders(parts: Sequence[HolderTable]) -> Iterator[Cylinder]:
-    """Yield the cylinders of [collision] holder, from the tip upwards; meshes are left out."""
-    height = 0.0
-    for number, part in enumerate(parts, 1):
-        if part.mesh is None:
-            assert part.diameter_mm is not None
-            assert part.length_mm is not None
-            top = height + part.length_mm * M_PER_MM
-            name = part.name or ("cutter" if number == 1 else f"holder {number}")
-            yield Cylinder(name, 0.5 * part.diameter_mm * M_PER_MM, height, top, number == 1)
-            height = top
+def cylinders(holder_tables: Sequence[HolderTable]) -> Iterator[Cylinder]:
+    """Yield the cylinders of [collision] holder, stacked from the tip upwards; meshes are left out.
+
+    The first of them is the cutter.
+    """
+    bottom = 0.0  # above the tip
+    for number, table in enumerate(holder_tables, 1):
+        if table.mesh is None:
+            assert table.diameter_mm is not None
+            assert table.length_mm is not None
+            top = bottom + table.length_mm * M_PER_MM
+            is_cutter = number == 1
+            name = table.name or ("cutter" if is_cutter else f"holder {number}")
+            yield Cylinder(name, radius=0.5 * table.diameter_mm * M_PER_MM, begin=bottom, end=top, cuts=is_cutter)
+            bottom = top
 
 
-def _flange_bodies(parts: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
+def _flange_bodies(holder_tables: Sequence[HolderTable], tool: Array, axis: str, folder: Path) -> Iterator[Body]:
     """Yield the bodies on the flange: cylinders stacked from the tip upwards, and meshes in the flange frame.
 
+    :param holder_tables: cylinders and meshes of [collision] holder, from the tip upwards.
     :param tool: (4, 4) `$TOOL` in the flange frame [m].
     :param axis: axis of the tool frame that points out of the spindle, as ``+Z``.
     """
     sign, letter = axis[0], axis[1]
     up = -(1.0 if sign == "+" else -1.0) * tool[:3, "XYZ".index(letter)]  # from the tip into the spindle
     tip = tool[:3, 3]
-    for part_cylinder in cylinders(parts):
-        role: Role = "cutter" if part_cylinder.cuts else "tool"
-        begin, end = (tip + up * height for height in (part_cylinder.begin, part_cylinder.end))
-        yield cylinder(part_cylinder.name, FLANGE, role, begin=begin, end=end, radius=part_cylinder.radius)
-    for number, part in enumerate(parts, 1):
-        if part.mesh is not None:
-            points, faces = _mesh_of_file(part.mesh, folder)
-            yield _mesh_body(part.name or f"holder {number}", FLANGE, "tool", points, faces)
+    for tool_cylinder in cylinders(holder_tables):
+        role: Role = "cutter" if tool_cylinder.cuts else "tool"
+        begin, end = (tip + up * height for height in (tool_cylinder.begin, tool_cylinder.end))
+        yield cylinder(tool_cylinder.name, FLANGE, role, begin=begin, end=end, radius=tool_cylinder.radius)
+    for number, table in enumerate(holder_tables, 1):
+        if table.mesh is not None:
+            points, faces = _mesh_of_file(table.mesh, folder)
+            yield _mesh_body(table.name or f"holder {number}", FLANGE, "tool", points, faces)
 
 
 def _obstacle_body(table: ObstacleTable, number: int, base: Array, folder: Path) -> Body:

@@ -163,14 +163,14 @@ def arc_point_count(circle: Circle, start: Array, points: Array, digit_mm: float
     if count <= 1:
         return 1
     path = np.vstack([start[None], points[:count]])
-    sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])
+    sweeps = np.array([circle.sweep(begin, end) for begin, end in pairwise(path)])  # from point to point [rad]
     is_off_circle = _is_off_circle(circle, path, sweeps, digit_mm)
     if is_off_circle.any():
         count = int(np.argmax(is_off_circle))
         sweeps = sweeps[:count]
     if count <= 1:
         return 1
-    # the first piece is an arc in any case
+    # the way to the first point is an arc in any case; the sagitta of the others' chords, over half a turn at most
     is_close = circle.radius * (1.0 - np.cos(np.minimum(sweeps[1:], np.pi) / 2.0)) < TOLERANCE_MM
     is_one_turn = sweeps.sum() < 2.0 * np.pi * (1.0 + _TURN_TOLERANCE)
     is_even = count > 2 and np.ptp(sweeps) < _SPACING_TOLERANCE * sweeps.mean() and is_one_turn

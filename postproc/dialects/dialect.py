@@ -150,7 +150,7 @@ class Survey(Struct, frozen=True):
 class CamFormat(Struct, frozen=True):
     """A dialect of CAM systems: a program is one file, and is read only.
 
-    :param reader: reads a document, see `Dialect.read`.
+    :param reader: reads the file of a program; its parameters are those of `read` after the file.
     :param survey: reads what `Survey` states, without a cell; None: the dialect has no survey.
     :param command_decimals: decimals of X … C in robot programs made from programs of this dialect.
     """
@@ -170,8 +170,17 @@ class CamFormat(Struct, frozen=True):
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str
     ) -> Program:
-        """Return a program, see `Dialect.read`."""
-        return self.reader(documents[0], cell, forward_kinematics, name)
+        """Return the program that a file contains.
+
+        :param documents: the only file of the program, since `companions` names no others.
+        :param cell: frames, settings and start position of the robot.
+        :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m], by the nominal geometry
+            of the controller.
+        :param name: name of the program.
+        :raises ProgramError: the program cannot be interpreted; the message gives file, line, text and advice.
+        """
+        main_document = documents[0]
+        return self.reader(main_document, cell, forward_kinematics, name)
 
 
 class OtherFiles(NamedTuple):

@@ -34,8 +34,9 @@ def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[
         target needs a comment.
     """
     states = np.array([(FORCE_FRAMES.index(comment.frame), *comment.wrench) for comment in notes]).reshape(-1, 7)
+    # TOOL and FEED axes turn with the path: NaN differs from everything, so that the target after such a note has a
+    # comment. Without a load the frame does not matter
     states[:, 0] = np.where(states[:, 1:].any(axis=1) & (states[:, 0] != _BASE), np.nan, _BASE)
-    # other frames turn with the path: NaN differs from everything, so that the target after such a note has a comment
 
     def rounded_states(row: Ints) -> Array:
         """Return frame and wrench (n, 7) of targets (n,), as comments would state them."""
@@ -45,8 +46,8 @@ def needs_comment(forces: TargetForces, kind: Ints, note: Ints, notes: Sequence[
     state = rounded_states(row)  # code of the frame, then the wrench
     state_before = np.concatenate([np.full((1, state.shape[1]), start), state])[:-1]
     # the program has a note between this target and the one before
-    follows_note = np.diff(note[row], prepend=-1) != 0
-    state_before[follows_note] = states[note[row[follows_note]]]
+    has_note_before = np.diff(note[row], prepend=-1) != 0
+    state_before[has_note_before] = states[note[row[has_note_before]]]
     # both are rounded: different values differ by one unit of the last decimal or more; NaN needs a comment
     tolerance = [0.0, *(0.6 * 0.1**_DECIMALS)]
     needs_comment = np.zeros(len(kind), dtype=np.bool_)

@@ -1,4 +1,4 @@
-"""A new robot program from G-code: lines between its targets, and assembly of its text."""
+"""A new robot program from a CAM program: lines between its targets, and assembly of its text."""
 
 from __future__ import annotations
 
@@ -74,14 +74,14 @@ class NewProgram:
     def target_description(self) -> str:
         """Return whether the targets are corrected or nominal, as text for the head of the program."""
         # the last target of each motion: only this one has a programmed pose
-        ends = np.flatnonzero(
+        last_targets = np.flatnonzero(
             np.append(self.motion_of_target[1:] != self.motion_of_target[:-1], True)[: len(self.motion_of_target)]
         )
         is_corrected = any(  # in chunks, because the first chunk usually decides
-            np.abs(self.program.motions.target[self.motion_of_target[part]] - self.targets.pose[part]).max()
+            np.abs(self.program.motions.target[self.motion_of_target[rows]] - self.targets.pose[rows]).max()
             > _NOMINAL_TOLERANCE
-            for part in map(ends.__getitem__, chunks(len(ends)))
-            if len(part)
+            for rows in map(last_targets.__getitem__, chunks(len(last_targets)))
+            if len(rows)
         )
         return "targets corrected for deflection" if is_corrected else "nominal targets"
 
@@ -105,7 +105,9 @@ class NewProgram:
         Each goes before the first target of the motion that it precedes. Dwells, stops, lines of the cell and motions
         to joint angles are added to `stop_targets`. Events without lines of the cell get a comment and one warning.
         """
-        stopped_before = -1  # the target before which the advance run already stops; −1: none
+        # target before which a statement already stops the advance run (the controller reads ahead): no wait is needed
+        # before further lines of the cell there; −1: none
+        stopped_before = -1
         words = self.words
         for event in self._ordered_events():
             if isinstance(event, int):  # a motion to joint angles
@@ -149,12 +151,12 @@ class NewProgram:
 
     def _ordered_events(self) -> Iterator[Event | int]:
         """Yield events, and the rows of motions to joint angles, in execution order; these motions have no target."""
-        axes = np.flatnonzero(np.isfinite(self.program.motions.joints[:, 0])).tolist()
+        joint_motions = np.flatnonzero(np.isfinite(self.program.motions.joints[:, 0])).tolist()
         for event in self.program.events:
-            while axes and axes[0] < event.before:
-                yield axes.pop(0)
+            while joint_motions and joint_motions[0] < event.before:
+                yield joint_motions.pop(0)
             yield event
-        yield from axes
+        yield from joint_motions
 
     def _lines_or_warning(self, event: Event) -> list[str]:
         """Return the cell's lines for an event, with its value inserted.
@@ -192,7 +194,7 @@ class NewProgram:
         return distances
 
     def path_speeds(self) -> tuple[Ints, Array]:
-        """Return the targets of lines and circles (n,), and their speeds (n,) [1e-6 m/s], whole numbers.
+        """Return the targets of lines and circles (n,), and the speeds of the tip to them (n,) [1e-6 m/s], rounded.
 
         :raises ProgramError: a move has no feed, or a feed that would be printed as 0.
         """
@@ -231,31 +233,30 @@ class NewProgram:
         :param end: lines after the last target.
         """
         count = len(self.motion_of_target)
-        note_targets = np.array(sorted(self.lines_before), dtype=np.int64)
+        preceded_targets = np.array(sorted(self.lines_before), dtype=np.int64)  # with lines before them
         # number of lines of each target: its own, and those before it
         line_counts = np.ones(count + 1, dtype=np.int32)
-        line_counts[note_targets] += np.array(
-            [len(self.lines_before[k]) for k in note_targets.tolist()], dtype=np.int32
+        line_counts[preceded_targets] += np.array(
+            [len(self.lines_before[k]) for k in preceded_targets.tolist()], dtype=np.int32
         )
         line_counts[0] += len(head)
         text = "".join(line + LINE_END for line in head)
-        for part in chunks(count):
-            rows = np.arange(part.start, min(part.stop, count))
-            text += self._chunk(
-                rows, print_lines, note_targets[(note_targets >= part.start) & (note_targets < part.stop)]
-            )
+        for chunk in chunks(count):
+            rows = np.arange(chunk.start, min(chunk.stop, count))
+            is_in_chunk = (preceded_targets >= chunk.start) & (preceded_targets < chunk.stop)
+            text += self._chunk_text(rows, print_lines, preceded_targets[is_in_chunk])
         text += "".join(line + LINE_END for line in (*self.lines_before.get(count, ()), *end))
         return text, np.cumsum(line_counts[:count], dtype=line_counts.dtype)
 
-    def _chunk(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], note_targets: Ints) -> str:
+    def _chunk_text(self, rows: Ints, print_lines: Callable[[int, Ints], bytes], preceded_targets: Ints) -> str:
         """Return the lines of consecutive targets, with the lines that precede them.
 
-        Targets are printed kind by kind, in bulk, and the texts are then cut at line ends and put in order. `rank` is
-        the number of earlier targets of the same kind.
+        Targets are printed kind by kind, in bulk, and the texts are then divided at line ends and put in order. `rank`
+        is the number of earlier targets of the same kind.
 
         :param rows: (n,) the targets, ascending.
-        :param print_lines: see `text_and_lines`.
-        :param note_targets: (m,) the targets among them that have `lines_before`.
+        :param print_lines: returns the lines of targets (n,) of one kind (`LIN`, `CIRC`, `PTP`), one line per target.
+        :param preceded_targets: (m,) the targets among them that have `lines_before`.
         """
         kind = self.targets.kind[rows]
         rank = np.zeros(len(rows), dtype=np.int64)
@@ -266,14 +267,17 @@ class NewProgram:
             texts[code] = print_lines(code, rows[indices]) if len(indices) else b""
             ends[code] = np.flatnonzero(np.frombuffer(texts[code], dtype=np.uint8) == ord("\n")) + 1
         changes = np.flatnonzero(np.diff(kind) != 0) + 1
-        cuts = distinct(np.concatenate([[0], note_targets - rows[:1], changes, [len(rows)]])) if len(rows) else rows
-        parts = []
-        for first, last in pairwise(cuts.tolist()):
-            parts += [line + LINE_END for line in self.lines_before.get(int(rows[first]), ())]
+        # a run of targets of one kind begins where the kind changes, and at each target with lines before it
+        run_bounds = (
+            distinct(np.concatenate([[0], preceded_targets - rows[:1], changes, [len(rows)]])) if len(rows) else rows
+        )
+        run_texts = []
+        for first, last in pairwise(run_bounds.tolist()):
+            run_texts += [line + LINE_END for line in self.lines_before.get(int(rows[first]), ())]
             code = int(kind[first])
             begin = int(ends[code][rank[first] - 1]) if rank[first] else 0
-            parts.append(texts[code][begin : int(ends[code][rank[last - 1]])].decode("ascii"))
-        return "".join(parts)
+            run_texts.append(texts[code][begin : int(ends[code][rank[last - 1]])].decode("ascii"))
+        return "".join(run_texts)
 
 
 def check_name(

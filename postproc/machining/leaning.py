@@ -98,7 +98,7 @@ def _rings(stock: Stock, cutter: Cutter, tip: Array, axis: Array, radius: float)
     # along the cylinder the depth changes slowly: rings are two cells or a quarter of the radius apart (assumed)
     shank_heights = np.arange(end_height + inner_cutter.corner, reach, max(2.0 * stock.cell, 0.25 * radius))
     ring_radii = np.concatenate([end_radii, np.full(len(shank_heights), radius)])
-    height = np.concatenate([end_height + inner_cutter.height(end_radii), shank_heights])
+    height = np.concatenate([end_height + inner_cutter.lower_side(end_radii), shank_heights])
     centre = tip[:, None] + height[:, None] * axis[:, None]
     pose, ring = np.nonzero(((centre > low) & (centre < high)).all(axis=2))
     return _Rings(pose, ring_radii[ring], height[ring])

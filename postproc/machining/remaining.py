@@ -311,7 +311,7 @@ class Guard(Struct, eq=False):
         if reach > cutter.radius - 2.0 * cell:
             return False
         # heights above the tip: of the lower end of the part, and of the lower side of the cutter at this radius
-        return tool_part.bottom - self.min_distance >= float(cutter.height(np.array([reach]))[0])
+        return tool_part.bottom - self.min_distance >= float(cutter.lower_side(np.array([reach]))[0])
 
     def _swept_volume(self, tool_part: ToolPart, begin: Array, end: Array, clearance: float) -> _SweptVolume:
         """Return all points within a clearance of a part of the tool as a body along z, and the path of its lower end.

@@ -753,11 +753,11 @@ def tool_levels(cutter: Cutter, begin: Array, end: Array, px: Floats, py: Floats
     z = np.where(is_vertical, np.minimum(begin[:, 2], end[:, 2]), begin[:, 2]).astype(np.float32)[:, None, None]
     slope = np.where(is_vertical, 0.0, chord[:, 2] / np.where(is_vertical, 1.0, travel_length))
     if np.abs(slope).max() < 1e-9:  # no segment rises: the tool is lowest where its axis is nearest
-        return distance, np.broadcast_to(z + cutter.height(distance).astype(np.float32), distance.shape)
+        return distance, np.broadcast_to(z + cutter.lower_side(distance).astype(np.float32), distance.shape)
     slope_of_row = slope.astype(np.float32)[:, None, None]
     t = _lowest_travel(cutter, travel, square, length, slope_of_row)
     axis_distance = np.sqrt(square + (travel - t) ** 2)
-    return distance, np.asarray(z + slope_of_row * t + cutter.height(axis_distance), dtype=np.float32)
+    return distance, np.asarray(z + slope_of_row * t + cutter.lower_side(axis_distance), dtype=np.float32)
 
 
 def _lowest_travel(cutter: Cutter, travel: Floats, square: Floats, length: Floats, slope: Floats) -> Floats:
@@ -799,7 +799,7 @@ def _lowest_position(
 
     def height(t: Array) -> Array:
         """Return the height of the tool above the cells [m] at lengths t [m], less that of the tip at t = 0."""
-        return np.asarray(slope * t + cutter.height(np.sqrt(square + (travel - t) ** 2)))
+        return np.asarray(slope * t + cutter.lower_side(np.sqrt(square + (travel - t) ** 2)))
 
     for _ in range(_GOLDEN_SECTIONS):
         first, second = b - ratio * (b - a), a + ratio * (b - a)

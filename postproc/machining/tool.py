@@ -44,7 +44,7 @@ class Cutter(Struct, frozen=True):
             return "flat"
         return "ball" if self.corner >= self.radius * (1.0 - 1e-9) else "bull"
 
-    def height(self, distance: Array) -> Array:
+    def lower_side(self, distance: Array) -> Array:
         """Return the heights of the lower side of the tool above its tip [m], in the shape of `distance`.
 
         :param distance: distances from the axis of the tool [m]; beyond the radius the height is that at the radius.

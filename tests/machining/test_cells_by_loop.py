@@ -253,7 +253,7 @@ def lower_side(cutter, begin, end, x, y):
     tips = begin + t * (end - begin)
     gap = np.hypot(tips[:, 0] - x, tips[:, 1] - y)
     return float(
-        np.where(gap < cutter.radius, tips[:, 2] + cutter.height(np.minimum(gap, cutter.radius)), np.inf).min()
+        np.where(gap < cutter.radius, tips[:, 2] + cutter.lower_side(np.minimum(gap, cutter.radius)), np.inf).min()
     )
 
 

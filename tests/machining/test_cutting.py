@@ -147,12 +147,14 @@ def test_the_edge_is_as_long_as_the_profile_and_as_high():
             assert found.rise[below].sum() == pytest.approx(cutter.corner)
             corner = found.part == 1
             np.testing.assert_allclose(
-                cutter.height(found.radius[corner]), found.low[corner] + 0.5 * found.rise[corner], atol=step**2 / 5e-3
+                cutter.lower_side(found.radius[corner]),
+                found.low[corner] + 0.5 * found.rise[corner],
+                atol=step**2 / 5e-3,
             )
             assert (np.diff(found.low[corner]) > 0).all()
-            assert np.abs(quad(lambda x, c=cutter: c.height(np.array([x]))[0], 0, cutter.radius)[0]) == pytest.approx(
-                cutter.corner**2 * (1 - np.pi / 4), abs=1e-9
-            )
+            assert np.abs(
+                quad(lambda x, c=cutter: c.lower_side(np.array([x]))[0], 0, cutter.radius)[0]
+            ) == pytest.approx(cutter.corner**2 * (1 - np.pi / 4), abs=1e-9)
 
 
 def test_a_place_covers_the_parts_of_a_turn_whose_middles_are_within_it():

@@ -96,7 +96,7 @@ def lowest(cutter, begin, end, px, py):
     places = begin + t * (end - begin)
     distance = np.hypot(places[:, 0] - px, places[:, 1] - py)
     inside = distance <= cutter.radius
-    return float((places[:, 2] + cutter.height(np.minimum(distance, cutter.radius)))[inside].min(initial=np.inf))
+    return float((places[:, 2] + cutter.lower_side(np.minimum(distance, cutter.radius)))[inside].min(initial=np.inf))
 
 
 CUTTERS = {"flat": Cutter(5e-3, 0.0, 2), "ball": Cutter(5e-3, 5e-3, 2), "bull": Cutter(5e-3, 2e-3, 2)}
@@ -219,7 +219,7 @@ def test_the_front_of_a_tool_is_where_its_surface_moves_outwards(shape, slope):
     found = stocks._is_under_front(stock, cutter, index, point, travel, rim=False)
     step = 1e-6 * travel
     after = np.hypot(x - point[0] - step[0], y - point[1] - step[1])
-    falls = step[2] + cutter.height(after) - cutter.height(distance)
+    falls = step[2] + cutter.lower_side(after) - cutter.lower_side(distance)
     along = (x - point[0]) * travel[0] + (y - point[1]) * travel[1]
     if shape == "flat" and slope != 0.0:
         expected = np.full(len(x), slope < 0.0)  # the end face moves down, or up

@@ -275,7 +275,7 @@ def test_the_depth_of_an_upright_tool_is_that_of_its_end_but_for_a_cell(shape):
     for x, y, depth in ((0.03, 0.02, 3e-3), (0.002, 0.001, 4e-3), (0.062, 0.02, 5e-3)):
         found = depth_inside(stock, cutter, np.array([[x, y, -depth]]), UP)
         beside = max(x - 0.06, 0.0)
-        rise = cutter.height(np.array([beside]))[0] if beside else 0.0
+        rise = cutter.lower_side(np.array([beside]))[0] if beside else 0.0
         assert found == pytest.approx(depth - missing - rise, abs=(1e-6 if not beside else 6e-4))
     for tip in ([0.03, 0.02, 1e-3], [0.066, 0.02, -5e-3], [0.03, -0.006, -5e-3]):
         assert depth_inside(stock, cutter, np.array([tip]), UP) == 0.0

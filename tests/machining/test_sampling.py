@@ -186,7 +186,7 @@ def test_the_lowest_level_of_atool_over_a_cell_is_that_of_many_places_along_its_
     nearest = distance.min(axis=0)
     np.testing.assert_allclose(away[0], nearest, rtol=0, atol=3e-6)
     under = nearest < cutter.radius - 2e-5
-    over = begin[0, 2] + share * chord[2] + cutter.height(np.minimum(distance, cutter.radius))
+    over = begin[0, 2] + share * chord[2] + cutter.lower_side(np.minimum(distance, cutter.radius))
     lowest = np.where(distance <= cutter.radius, over, np.inf).min(axis=0)
     np.testing.assert_allclose(
         level[0][under], lowest[under], rtol=0, atol=1.5e-5

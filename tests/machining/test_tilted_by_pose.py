@@ -29,7 +29,7 @@ def is_inside(cutter, tip, axis, points):
     offset = points - tip
     height = offset @ axis
     distance = np.linalg.norm(offset - height[:, None] * axis, axis=1)
-    lower = cutter.height(np.minimum(distance, cutter.radius))
+    lower = cutter.lower_side(np.minimum(distance, cutter.radius))
     return (distance < cutter.radius) & (height > lower)
 
 

@@ -157,7 +157,9 @@ def _is_inside(from_tip: Array, axis: Array, cutter: Cutter) -> Bools:
     height = np.einsum("...i,...i->...", from_tip, axis)
     distance = np.linalg.norm(from_tip - height[..., None] * axis, axis=-1)
     return np.asarray(
-        (distance < cutter.radius) & (height > cutter.height(distance)) & (height <= LENGTH_IN_RADII * cutter.radius)
+        (distance < cutter.radius)
+        & (height > cutter.lower_side(distance))
+        & (height <= LENGTH_IN_RADII * cutter.radius)
     )
 
 
