@@ -358,7 +358,7 @@ class CellFile(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
 
 class Cell(CellFile, frozen=True):
-    """A cell; `folder` is the folder of its file."""
+    """A checked cell; `folder` is the folder of its file, from which paths in it are relative."""
 
     folder: str = "."
 
@@ -408,6 +408,7 @@ class Cell(CellFile, frozen=True):
 
         The tool axis points along −Z of the program frame; `redundancy_deg` turns the tool about program Z.
         """
+        # A, B, C [deg] that turn the axis from spindle to tip to −Z
         abc = {"+Z": (0, 0, 180), "-Z": (0, 0, 0), "+X": (0, 90, 0), "-X": (0, -90, 0)}[self.tool.axis]
         turn = pose_from_xyzabc([0, 0, 0, self.gcode.redundancy_deg, 0, 0])
         orientation: Array = (turn @ pose_from_xyzabc([0, 0, 0, *abc]))[:3, :3]
@@ -459,12 +460,14 @@ _CLOSING = {"(": ")", "[": "]", "{": "}"}
 def lines_fault(lines: Sequence[str]) -> str | None:
     """Return the bracket or string that lines of KRL or RAPID leave open, in words; None: all are closed.
 
-    Comments do not count.
+    Comments do not count. A bracket may be closed in a later line.
     """
-    open_brackets = ""
+    open_brackets = ""  # from the outermost to the innermost
     for line in lines:
-        if line.lstrip().startswith("!"):
+        is_rapid_comment = line.lstrip().startswith("!")
+        if is_rapid_comment:
             continue
+        # in RAPID ; ends a statement, in KRL it begins a comment: brackets are closed before it in both
         code = _STRING.sub("", line).partition(";")[0]
         if '"' in code:
             return f'{line!r}: the string after " has no end'
@@ -487,7 +490,10 @@ _PATH_MOTION = re.compile(
 
 
 def motion_fault(lines: Sequence[str]) -> str | None:
-    """Return the error of the first line that moves the tool to a target, which would be one more; None: none does."""
+    """Return the error of the first KRL line that moves the tool to a target; None: no line does.
+
+    Such a target is not in the program that postproc reads, so it would not be corrected.
+    """
     motion = next((line for line in lines if _PATH_MOTION.match(line)), None)
     return None if motion is None else f"{motion!r} moves the tool to a target"
 
@@ -515,6 +521,7 @@ joints = [0, -90, 100, 0, 80, 0]        # A1…A6 where the program starts
 def load(path: str | Path) -> Cell:
     """Read and check a cell file.
 
+    :returns: the content of the file (`CellFile`) with its folder, from which paths in it are relative.
     :raises CellError: it cannot be read, has unknown keys, wrong types or values out of range; the message
         names the key and its valid values.
     """
@@ -525,8 +532,8 @@ def load(path: str | Path) -> Cell:
     if cell.start is not None and _looks_like_radians(cell.start.joints):
         advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."
         raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=file, advice=advice)
-    _check_table_names(cell, file)
-    _check_lines(cell, file)
+    _check_numbered_tables(cell, file)
+    _check_line_templates(cell, file)
     _check_krl_values(cell.krl.values, file)
     _check_external_axes(cell.external_axes, file)
     if cell.gcode.motions == "SLIN" and cell.output.controller == "KRC2":
@@ -540,12 +547,12 @@ def load(path: str | Path) -> Cell:
         _check_indexed_axes(cell.rotary, cell.work_offsets, file)
     if cell.collision is not None:
         _check_collision(cell.collision, file)
-    content = {name: getattr(cell, name) for name in cell.__struct_fields__} | _portable_paths(cell)
-    return Cell(**content, folder=str(path.parent))
+    values = {name: getattr(cell, name) for name in cell.__struct_fields__} | _paths_with_slashes(cell)
+    return Cell(**values, folder=str(path.parent))
 
 
-def _check_table_names(cell: CellFile, file: str) -> None:
-    """Check the names of frames, tools, work offsets and M codes.
+def _check_numbered_tables(cell: CellFile, file: str) -> None:
+    """Check the keys of numbered tables: frames, tools, work offsets and M codes.
 
     :raises CellError: a name is not valid.
     """
@@ -561,8 +568,10 @@ def _check_table_names(cell: CellFile, file: str) -> None:
             raise CellError(f"[m_codes] {fault.problem}", file=file, advice=fault.advice)
 
 
-def _check_lines(cell: CellFile, file: str) -> None:
-    """Check that the lines of [gcode] and [m_codes], written into programs, are closed and move nothing.
+def _check_line_templates(cell: CellFile, file: str) -> None:
+    """Check the lines of [gcode] and [m_codes], which are written into programs as they are.
+
+    Their brackets and strings must be closed, and they must not move the tool: no target of the program is there.
 
     :raises CellError: a line leaves something open, or is a motion to a pose.
     """
@@ -679,7 +688,7 @@ def _check_obstacles(obstacles: Sequence[ObstacleTable], file: str) -> None:
             problem = "neither mesh nor box" if obstacle.mesh is None else "mesh together with box"
             advice = 'Give { mesh = "fixture.stl" } or { box = { X = [0, 200], Y = [0, 300], Z = [-60, -20] } }.'
             raise CellError(f"[collision] obstacles, number {number}: {problem}", file=file, advice=advice)
-        for axis in "XYZ" if obstacle.box is not None else "":
+        for axis in "XYZ" if obstacle.box is not None else "":  # no axis of a mesh
             low, high = getattr(obstacle.box, axis)
             if low >= high:
                 problem = f"box {axis} = [{low:g}, {high:g}] has no inside"
@@ -687,15 +696,15 @@ def _check_obstacles(obstacles: Sequence[ObstacleTable], file: str) -> None:
                 raise CellError(f"[collision] obstacles, number {number}: {problem}", file=file, advice=advice)
 
 
-def _portable_paths(cell: CellFile) -> dict[str, object]:
-    """Return the values of the keys that name files and folders, with /, see `_portable`."""
+def _paths_with_slashes(cell: CellFile) -> dict[str, object]:
+    """Return the values of the keys that name files and folders, with / for the backslash of Windows."""
     return {
-        "config_dat": None if cell.config_dat is None else _portable(cell.config_dat),
-        "krl": msgspec.structs.replace(cell.krl, search=[_portable(folder) for folder in cell.krl.search]),
-        "rapid": msgspec.structs.replace(cell.rapid, modules=[_portable(file) for file in cell.rapid.modules]),
+        "config_dat": None if cell.config_dat is None else _with_slashes(cell.config_dat),
+        "krl": msgspec.structs.replace(cell.krl, search=[_with_slashes(folder) for folder in cell.krl.search]),
+        "rapid": msgspec.structs.replace(cell.rapid, modules=[_with_slashes(file) for file in cell.rapid.modules]),
     }
 
 
-def _portable(path: str) -> str:
+def _with_slashes(path: str) -> str:
     """Return a path with /, which Windows takes too: a cell may be written there and used elsewhere."""
     return path.replace("\\", "/")

@@ -38,7 +38,7 @@ def arm_view(picture: CellPicture, name: str, axes: tuple[int, int]) -> dict[str
     low, high = low - _MARGIN_SHARE * span, high + _MARGIN_SHARE * span
     lines = [
         {"name": letter if np.linalg.norm(end - base) > _MIN_NAMED_SHARE * _AXIS_MM else "", **_line(base, end)}
-        for letter, end in zip("XYZ", ends, strict=True)
+        for letter, end in zip("XYZ", ends, strict=True)  # an axis towards the reader is too short for its name
     ]
     return {
         "name": name,

@@ -97,9 +97,10 @@ class AutomaticConversion:
         Programs that `step` converts are not among them: if such a program changes meanwhile, it is converted again.
         Commands that still run count at the next call too.
         """
-        recent = self._runs.runs_since(self._oldest_number)
-        active = [run for run in recent if run.code is None]
+        recent_runs = self._runs.runs_since(self._oldest_number)
+        active_runs = [run for run in recent_runs if run.code is None]
         # without a running command, only later ones count at the next call
-        self._oldest_number = min((run.number for run in active), default=self._oldest_number + len(recent))
-        user_runs = (run for run in recent if run is not self._last_run and run.arguments[0] in _CONVERSIONS)
-        return not active, {run.key for run in user_runs}
+        next_number = self._oldest_number + len(recent_runs)
+        self._oldest_number = min((run.number for run in active_runs), default=next_number)
+        user_runs = (run for run in recent_runs if run is not self._last_run and run.arguments[0] in _CONVERSIONS)
+        return not active_runs, {run.key for run in user_runs}  # the key of a conversion is its program

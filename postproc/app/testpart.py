@@ -50,7 +50,7 @@ class TestPart(Struct, frozen=True):
         path = self.folder / name
         if name not in SENT_FILES or not path.is_file():
             raise InputError(f"no file {name!r} of the test part", advice="Write the part first.")
-        return self.workspace.path_in_folder(path)
+        return self.workspace.check_inside(path)
 
     def processes(self) -> list[str]:
         """Return the names of the process files from which the test part can be made, sorted."""

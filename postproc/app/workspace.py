@@ -100,7 +100,7 @@ class Workspace(Struct, frozen=True):
 
         :raises InputError: the folder has no file of this name.
         """
-        return _path_in_folder(self.folder, name)
+        return _existing_file(self.folder, name)
 
     def usable_program(self, name: str) -> Path:
         """Return the path of a program whose name the window can use, see `name_fault`.
@@ -128,14 +128,14 @@ class Workspace(Struct, frozen=True):
         folder, _, file = name.rpartition("/")
         if _REFUSED_NAME.search(folder) or Path(file).suffix.lower() not in MEDIA_TYPES:
             raise InputError(f"no result {name!r}")
-        return self.path_in_folder(_path_in_folder(self.results / folder, file))
+        return self.check_inside(_existing_file(self.results / folder, file))
 
     def existing_cell(self) -> Path:
         """Return the path of the cell; unlike `cell`, the file exists and is in the folder.
 
         :raises InputError: there is no cell, or a symbolic link leads out of the folder.
         """
-        return self.path_in_folder(_path_in_folder(self.results, self.cell.name))
+        return self.check_inside(_existing_file(self.results, self.cell.name))
 
     def best_place_file(self, name: str) -> Path:
         """Return the path of `place.toml`, the best place for a program.
@@ -143,10 +143,10 @@ class Workspace(Struct, frozen=True):
         :raises InputError: no best place was found for it yet.
         """
         folder = self.results / f"place-{registry.program_name(Path(name))}"
-        return self.path_in_folder(_path_in_folder(folder, "place.toml"))
+        return self.check_inside(_existing_file(folder, "place.toml"))
 
-    def path_in_folder(self, path: Path) -> Path:
-        """Return a path unchanged, after checking that no symbolic link leads out of `folder`.
+    def check_inside(self, path: Path) -> Path:
+        """Check that a path does not lead out of `folder` by symbolic links, and return it unchanged.
 
         :raises InputError: a link leads out of it.
         """
@@ -160,7 +160,7 @@ class Workspace(Struct, frozen=True):
         :raises InputError: a symbolic link leads out of the folder.
         """
         path = process_of(self.folder / name, self.results)
-        return None if path is None else self.path_in_folder(path)
+        return None if path is None else self.check_inside(path)
 
     def process_to_edit(self, name: str) -> Path:
         """Return the process file of a program, or the path at which it will be written if it has none."""
@@ -183,8 +183,8 @@ class Workspace(Struct, frozen=True):
 
     def stamp(self) -> str:
         """Return a text that changes when a program, a result, the cell or a process file changes."""
-        kinds = (*(name.lower() for name in self._program_names()), ".toml")
-        content = stamps({self.folder: kinds, self.results: (".toml", ".report.json")})
+        endings = (*(name.lower() for name in self._program_names()), ".toml")  # a name is an ending of itself
+        content = stamps({self.folder: endings, self.results: (".toml", ".report.json")})
         return hashlib.sha256(repr(content).encode(errors="replace")).hexdigest()
 
     def readings(self, name: str) -> Readings:
@@ -195,12 +195,12 @@ class Workspace(Struct, frozen=True):
         """
         for entry in readings_of(self.folder):
             if self.relative_name(entry.experiment) == name:
-                self.path_in_folder(entry.experiment)
+                self.check_inside(entry.experiment)
                 return entry
         raise InputError(f"no experiment {name!r} in {self.folder.name}")
 
     def model_folder(self, experiment: Path) -> Path:
-        """Return the folder of the model that is identified from an experiment.
+        """Return the folder of the robot model that is identified from the readings of an experiment.
 
         It has the name of the folder of the experiment; directly in `folder`, that of its file.
         """
@@ -208,12 +208,12 @@ class Workspace(Struct, frozen=True):
         return self.folder / MODELS / name
 
     def model_page(self, model: Path) -> Path:
-        """Return the path of the report of a model.
+        """Return the path of the report of a robot model that was identified in this folder.
 
         :param model: folder of the model.
-        :raises InputError: the model has no report.
+        :raises InputError: the model has no report, or a symbolic link leads out of the folder.
         """
-        return self.path_in_folder(_path_in_folder(model, "report.html"))
+        return self.check_inside(_existing_file(model, "report.html"))
 
     def relative_name(self, path: Path) -> str:
         """Return the path of a file relative to the folder, with ``/``, as commands name it."""
@@ -262,7 +262,7 @@ class Workspace(Struct, frozen=True):
             raise InputError(f"{name}: {fault}, which is in the folder", advice="Rename the new one.")
         with tempfile.NamedTemporaryFile(dir=self.folder, prefix=".postproc-", delete=False) as file:
             upload_path = Path(file.name)
-            missing_bytes = size
+            missing_bytes = size  # the stream of a socket does not end after them
             while missing_bytes and (piece := content.read(min(_PIECE_BYTES, missing_bytes))):
                 file.write(piece)
                 missing_bytes -= len(piece)
@@ -278,7 +278,7 @@ class Workspace(Struct, frozen=True):
 
 
 def _name_fault(name: str, names: Sequence[str]) -> str:
-    """Return the reason why the window cannot use the name of a program; empty: it can.
+    """Return the reason why the window, the page of `postproc app`, cannot use the name of a program; empty: it can.
 
     Reasons are characters of the name, and another program whose results would have the same file names.
 
@@ -305,7 +305,7 @@ def _written_stems(name: str) -> frozenset[str]:
     return frozenset(text.lower() for text in stems)
 
 
-def _path_in_folder(folder: Path, name: str) -> Path:
+def _existing_file(folder: Path, name: str) -> Path:
     """Return the path of a file directly in a folder.
 
     :raises InputError: there is no such file, or its name or a symbolic link leads out of the folder.

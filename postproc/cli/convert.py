@@ -64,7 +64,9 @@ def convert(
     """  # noqa: D301 - click: keep these lines as they are
     from postproc.jobs import Settings, find_jobs
 
-    cluster = _cluster(options.pop("scheduler"), *(options.pop(f"tls_{file}") for file in ("ca", "cert", "key")))
+    cluster = _cluster(
+        options.pop("scheduler"), (options.pop("tls_ca"), options.pop("tls_cert"), options.pop("tls_key"))
+    )
     if cluster is not None and jobs > 1:
         raise click.UsageError("--jobs and --scheduler exclude each other.")
     if options["forces"] is not None and len(programs) > 1 and options["forces"].is_file():
@@ -95,7 +97,7 @@ def _check_part(options: dict[str, Any], jobs: Sequence[Job]) -> None:
         raise click.UsageError("--part goes with one program.")
 
 
-def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | None:
+def _cluster(scheduler: str | None, certificates: tuple[Path | None, Path | None, Path | None]) -> Cluster | None:
     """Return the Dask cluster that the options name; None without a scheduler.
 
     :param scheduler: address of the scheduler.
@@ -105,7 +107,8 @@ def _cluster(scheduler: str | None, *certificates: Path | None) -> Cluster | Non
     if scheduler is not None:
         from postproc.jobs.workers import Cluster
 
-        return Cluster(scheduler, *certificates)
+        ca, certificate, key = certificates
+        return Cluster(scheduler, ca=ca, certificate=certificate, key=key)
     if any(certificates):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go with --scheduler tls://…")
     return None

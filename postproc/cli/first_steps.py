@@ -202,15 +202,12 @@ def init(files: tuple[Path, ...], robodk: str | None, **options: Any) -> None:
     cell, programs = _cell_and_programs(files)
     check_new(cell, overwrite=options["overwrite"])
     station = None if robodk is None else _station(robodk, options)
-    if options["tool"] is None and options["tools"]:
+    if options["tool"] is None and options["tools"]:  # [tool] is required in a cell: it gets the first numbered tool
         options["tool"] = next(iter(options["tools"].values()))
     if programs:
         request = _request_for_programs(cell, programs, options)
     else:
-        values = {key: value for key, value in _complete_options(options).items() if not key.startswith("rotary")}
-        request = CellRequest(
-            output=cell, **values | {"m_codes": {code: [] for code in options["m_codes"]}}, **_rotary(options)
-        )
+        request = CellRequest(output=cell, **_cell_values(options))
     remarks = write_cell(request)
     if station is not None:
         remarks = (*remarks, *_station_warnings(station, request.robot))
@@ -240,8 +237,22 @@ def _cell_and_programs(files: tuple[Path, ...]) -> tuple[Path, list[Path]]:
     return next(iter(cells), Path("cell.toml")), programs
 
 
-def _rotary(options: dict[str, Any]) -> dict[str, Any]:
+def _cell_values(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields of `CellRequest` by name, from options and from answers on the terminal.
+
+    :raises click.UsageError: robot, base or tool is missing, and there is no terminal.
+    """
+    # the options --rotary, --rotary-kind and --rotary-point together are the field `rotary`
+    values = {key: value for key, value in _complete_options(options).items() if not key.startswith("rotary")}
+    no_lines: list[str] = []  # written for an M code that has no effect on the robot
+    values["m_codes"] = dict.fromkeys(options["m_codes"], no_lines)
+    return values | _rotary_field(options)
+
+
+def _rotary_field(options: dict[str, Any]) -> dict[str, Any]:
     """Return the field `rotary` of `CellRequest` by name; empty if no option names rotary axes.
+
+    Their kind says what X, Y, Z of a program are: "tcp", the tool tip in the part; "indexed", axes of the machine.
 
     :raises click.UsageError: the kind of the rotary axes is not stated.
     """
@@ -270,7 +281,7 @@ _SAME_OPTIONS = (
 
 
 def _answers_of_options(options: dict[str, Any], only_tool: int | None) -> dict[str, Any]:
-    """Return the answers that options of `init` give to the questions of `guided_start`, by key of the question.
+    """Return the answers that options of `init` give to questions on the cell: key of the question → value.
 
     :param only_tool: number of the only tool of the programs, whose `$TOOL` in `--tools` also answers for `--tool`;
         None: they have several tools.
@@ -289,12 +300,13 @@ def _answers_of_options(options: dict[str, Any], only_tool: int | None) -> dict[
         "rotary_kind": options["rotary_kind"],
         "dwell_unit": options["dwell_unit"],
     }
+    # the option has a default, which is no answer of the user
     texts |= {"radius_offsets": options["radius_offsets"]} if _is_stated("radius_offsets") else {}
     return values | {name: value for name, value in texts.items() if value is not None}
 
 
 def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, Any]) -> CellRequest:
-    """Return the request for a cell that the programs need; ask on the terminal for answers that no option gives.
+    """Return the request for a cell that some programs need; ask on the terminal for answers that no option gives.
 
     Without a terminal, optional questions are answered by their default.
 
@@ -313,7 +325,7 @@ def _request_for_programs(cell: Path, programs: list[Path], options: dict[str, A
             click.echo(f"no answer makes this program readable: {needs.refusal}", err=True)
     needs = guided_start.merge_needs(needs_of_programs)
     if options["config_dat"] is not None:
-        needs = replace(needs, frames=())  # frames by number are in the file of the controller
+        needs = replace(needs, frames=())  # nothing is asked: frames by number are in the file of the controller
     answers = guided_start.Answers(_answers_of_options(options, needs.only_tool))
     unanswered_questions: list[guided_start.Question] = []
     while question := guided_start.next_question(
@@ -388,7 +400,9 @@ def _station_warnings(station: Station, robot: str) -> tuple[str, ...]:
 
 
 def _complete_options(options: dict[str, Any]) -> dict[str, Any]:
-    """Return `options`, in which missing values are set: asked if robot, base or tool is missing, else by default.
+    """Return `options`, in which missing values are set.
+
+    If robot, base or tool is missing, the user is asked for all missing values; else they get their defaults.
 
     :raises click.UsageError: robot, base or tool is missing, and there is no terminal.
     """

@@ -221,7 +221,10 @@ def _as_entry(outcome: Outcome) -> dict[str, object]:
 
 
 def _outcome_text(outcome: Outcome) -> str:
-    """Return the outcome in a few words: written, skipped, not to be run or FAILED; new name and number of warnings."""
+    """Return the outcome in a few words: written, skipped, not to be run or FAILED; new name and number of warnings.
+
+    A program that is written, but whose verdict is red, is not to be run.
+    """
     if outcome.summary is None:
         return "skipped: a subprogram" if outcome.is_skipped else "FAILED"
     issues = outcome.summary.issues
@@ -237,6 +240,9 @@ def _outcome_text(outcome: Outcome) -> str:
 
 
 def worst_code(outcomes: Iterable[Outcome]) -> int:
-    """Return the exit code of a command with these outcomes: 1 for a failure is worse than 3 for a red verdict."""
+    """Return the exit code of a command with these outcomes: 1 for a failure is worse than 3 for a red verdict.
+
+    Only a failure leaves no program.
+    """
     codes = {outcome.code for outcome in outcomes}
     return 1 if 1 in codes else max(codes, default=0)

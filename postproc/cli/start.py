@@ -266,7 +266,7 @@ def _report_unused(
 
 
 def _file_of(name: str) -> str:
-    """Return the file to which an answer belongs, "cell" or "process".
+    """Return the file that an answer is for, "cell" or "process".
 
     :param name: name of the answer, such as "cutter.3".
     """

@@ -60,7 +60,10 @@ def _lock_folder(folder: Path, waiting: Callable[[str], None] | None) -> Iterato
     _acquire(file_lock, folder, waiting)
     _locked_folders.add(folder)
     try:
-        if file_lock.is_locked and file_lock.__class__ is FileLock:  # a soft lock writes its file itself
+        is_lock_of_system = (
+            file_lock.__class__ is FileLock
+        )  # else filelock itself writes the file that names the process
+        if file_lock.is_locked and is_lock_of_system:
             with contextlib.suppress(OSError):
                 (folder / _NAME).write_text(_this_process(), encoding="utf-8")
         yield

@@ -205,6 +205,8 @@ def _explain_quoted_number(message: str) -> str:
 def _explain_value(message: str, data: object, at: str) -> str:
     """Return a message of msgspec about a value, with the full key of the first entry that it fits.
 
+    msgspec does not say which entry of a table or list with any names it means, so the entry is looked up:
+
     - "Expected `float` > 0": the entry is a number out of this range; the message gets the number too.
     - "Invalid enum value 'x'": the value of the entry is x.
     - "got `str`": the entry is of this kind.
@@ -215,8 +217,8 @@ def _explain_value(message: str, data: object, at: str) -> str:
     :param data: content of the file.
     :param at: key of the value, where `[...]` stands for any name or index.
     """
-    key = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
-    entries = ((name, value) for name, value in _entries(data, "") if key.fullmatch(name))
+    key_pattern = re.compile(re.escape(at).replace(re.escape("[...]"), r"(?:\.[^.]+|\[\d+\])"))
+    entries = ((name, value) for name, value in _entries(data, "") if key_pattern.fullmatch(name))
     if range_message := _RANGE_MESSAGE.search(message):
         is_out_of_range, limit = _OUT_OF_RANGE[range_message["relation"]], float(range_message["limit"])
         for name, value in entries:
@@ -250,7 +252,8 @@ def _wrong_keys(data: object, kind: Any, at: str, *, is_entry: bool = False) -> 
 
     :param kind: msgspec's type of the data.
     :param at: key of the table; empty: the whole file.
-    :param is_entry: the table is an entry of one with any names, which may have a dot.
+    :param is_entry: the table is an entry of a table with names that the user chooses, such as ``[tools.1]``; a dot in
+        such a name must be in quotes.
     """
     kind = _type_without_none(kind)
     if isinstance(kind, msgspec.inspect.DictType) and isinstance(data, Mapping):
@@ -300,9 +303,9 @@ def _full_key(at: str, name: str) -> str:
 
 
 def _type_without_none(kind: Any) -> Any:
-    """Return msgspec's type of a value without the None that it may also be; other types as they are."""
+    """Return msgspec's type of an optional value without None: X of ``X | None``; other types as they are."""
     if isinstance(kind, msgspec.inspect.UnionType):
-        return next((part for part in kind.types if not isinstance(part, msgspec.inspect.NoneType)), kind)
+        return next((member for member in kind.types if not isinstance(member, msgspec.inspect.NoneType)), kind)
     return kind
 
 
@@ -632,16 +635,17 @@ def read_facets(path: Path) -> tuple[Array, Array]:
 def _chord_heights(mesh: Any) -> Array:
     """Return the height (F,) of the arc over each facet, as its neighbours continue it; 0 on flat faces.
 
-    A facet of width c that meets the next one at the angle θ is a chord of an arc of height c/2·tan(θ/4).
+    A mesh approximates a curved surface by flat facets; the height is the largest distance between both, in the unit of
+    the mesh. A facet of width c that meets the next one at the angle θ is a chord of an arc of height c/2·tan(θ/4).
     """
     facets, angle = np.asarray(mesh.face_adjacency), np.asarray(mesh.face_adjacency_angles)
     is_smooth = angle < _EDGE
     ends = np.asarray(mesh.vertices)[np.asarray(mesh.face_adjacency_edges)[is_smooth]]
     length = np.maximum(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1), 1e-12)  # it is a divisor
     height = np.zeros(len(mesh.faces))
-    for side in range(2):
+    for side in range(2):  # the two facets at each edge
         facet = facets[is_smooth, side]
-        width = 2.0 * np.asarray(mesh.area_faces)[facet] / length
+        width = 2.0 * np.asarray(mesh.area_faces)[facet] / length  # height of the triangle over the common edge
         np.maximum.at(height, facet, 0.5 * width * np.tan(0.25 * angle[is_smooth]))
     return height
 

@@ -52,6 +52,8 @@ def _key_parts(text: str) -> list[str]:
 def _is_in_line(path: Sequence[str], key_parts: Sequence[str]) -> bool:
     """Return whether a line gives a key, or an inline table or list that has the key in it.
 
+    It does if the key of the line is the wanted key or a beginning of it.
+
     :param path: parts of the key of the line.
     :param key_parts: parts of the wanted key; ``*`` is any part.
     """

@@ -121,7 +121,8 @@ def seal(text: bytes) -> bytes:
 def find_foreign_file(path: Path) -> list[Path]:
     """Return the path in a list if the file exists and was not written with `seal`, or was changed since.
 
-    The list is empty for a file that is missing, or as it was written.
+    `seal` adds to the first line the SHA-256 of all that follows. The list is empty for a file that is missing, or as
+    it was written.
     """
     if not path.exists():
         return []
@@ -163,8 +164,8 @@ def _digest(path: Path) -> str:
         return ""
 
 
-_STAGE = (".postproc-", ".tmp")
-"""Prefix and suffix of the folder that files are written in at first."""
+_STAGE_PREFIX, _STAGE_SUFFIX = ".postproc-", ".tmp"
+"""Beginning and end of the name of the folder that files are written in at first."""
 
 
 class StagedFiles(Struct, frozen=True):
@@ -210,7 +211,7 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
             if (folder / name).is_dir():
                 paths.append(folder / name)
                 raise IsADirectoryError(errno.EISDIR, "a folder of that name is in the way")
-        path = Path(tempfile.mkdtemp(_STAGE[1], _STAGE[0], dir=folder))
+        path = Path(tempfile.mkdtemp(suffix=_STAGE_SUFFIX, prefix=_STAGE_PREFIX, dir=folder))
         try:
             (path / "new").mkdir()
             (path / "old").mkdir()
@@ -224,18 +225,19 @@ def stage(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -> Stag
 
 
 def replace(folder: Path, file_sets: Sequence[StagedFiles], obsolete: Sequence[str] = ()) -> list[Path]:
-    """Put staged files in their places: all of them, or none. The caller has locked the folder.
+    """Put staged files, which are complete in a folder of their own, in their places: all of them, or none.
 
-    Those that they replace are moved out of the way, then the new ones take their places. So at any moment, also if the
-    process is killed: if the first file of a set is there, the others belong to it. On any failure the old ones come
-    back.
+    The caller has locked the folder. The files that they replace are moved out of the way, then the new ones take their
+    places. So at any moment, also if the process is killed: if the first file of a set is there, the others belong to
+    it. On any failure the old ones come back.
 
     :param obsolete: names of files that are removed with those that are replaced, if they are there.
     :returns: the paths written.
     :raises InputError: a file cannot be replaced; the message names it.
     """
-    firsts = [file_set.names[0] for file_set in file_sets]
-    names = list(dict.fromkeys([*firsts, *(name for file_set in file_sets for name in file_set.names)]))
+    # the first file of each set is moved away before all others, and its new version comes last
+    first_names = [file_set.names[0] for file_set in file_sets]
+    names = list(dict.fromkeys([*first_names, *(name for file_set in file_sets for name in file_set.names)]))
     with interrupts.defer():
         try:
             with _errors_that_name_file(folder, names):
@@ -254,7 +256,7 @@ def discard(file_set: StagedFiles) -> None:
 
 def remove_leftovers(folder: Path) -> None:
     """Remove staged files of processes that were killed. The caller has locked the folder."""
-    for path in folder.glob("*".join(_STAGE)):
+    for path in folder.glob(f"{_STAGE_PREFIX}*{_STAGE_SUFFIX}"):
         shutil.rmtree(path, ignore_errors=True)
 
 
@@ -299,11 +301,12 @@ def _replace(file_sets: Sequence[StagedFiles], folder: Path, names: Sequence[str
     :raises InputError: old files could not be put back; other errors are raised as they are.
     """
     staged_path = {name: file_set.path / "new" / name for file_set in file_sets for name in file_set.names}
-    old_names: list[str] = []
-    new_names: list[str] = []
+    old_names: list[str] = []  # moved away so far
+    new_names: list[str] = []  # in their places so far
     old_folder = file_sets[0].path / "old"
     try:
-        for name in (*obsolete, *(names if len(names) > 1 or obsolete else ())):
+        is_single_step = len(names) == 1 and not obsolete
+        for name in (*obsolete, *(() if is_single_step else names)):
             if (folder / name).exists() or (folder / name).is_symlink():
                 (folder / name).rename(old_folder / name)
                 old_names.append(name)

@@ -1,4 +1,7 @@
-"""Put the posts where their hosts look for them."""
+"""Install posts in their hosts.
+
+A host is a CAM program, such as FreeCAD; a post is the script with which it makes robot programs.
+"""
 
 from __future__ import annotations
 
@@ -14,19 +17,22 @@ from pathlib import Path
 from postproc.errors import InputError
 
 _SHARED_FOLDER = "postproc_host"
-_COPIED_FILE = "safe_text.py"
-"""Module of the package that the posts use too."""
+"""Folder next to the posts with the Python package that they share: it runs the command `postproc`."""
+_SAFE_TEXT_MODULE = "safe_text.py"
+"""Module of postproc that is copied into the shared folder, because the Python of a host cannot import postproc."""
+_COMMAND_FILE = "command.json"
+"""File in the shared folder with the command that runs postproc."""
 
 
 @dataclass(frozen=True, slots=True)
 class Host:
-    """A program that makes robot programs.
+    """A CAM program that makes robot programs by a post.
 
     :param title: its name.
     :param post: file of the post.
     :param folders: where it looks for posts, the usual place first; those that exist are candidates. A place with `*`
         has a folder for each version, the newest of which is meant.
-    :param use: what to do in the host afterwards.
+    :param use: what the user does in the host after the post is installed.
     """
 
     title: str
@@ -37,9 +43,9 @@ class Host:
 
 HOSTS = {
     "freecad": Host(
-        "FreeCAD",
-        "kuka_compensated_post.py",
-        (
+        title="FreeCAD",
+        post="kuka_compensated_post.py",
+        folders=(
             "~/.local/share/FreeCAD/v*/Macro",
             "~/Library/Application Support/FreeCAD/v*/Macro",
             "~/AppData/Roaming/FreeCAD/v*/Macro",
@@ -48,15 +54,20 @@ HOSTS = {
             "~/Library/Application Support/FreeCAD/Macro",
             "~/AppData/Roaming/FreeCAD/Macro",
         ),
-        "In the job's Output tab choose the processor kuka_compensated, with the arguments --cell CELL.toml --material "
-        "NAME: stock and tools of the job give the forces (postproc forces --materials lists the names).",
+        use="In the job's Output tab choose the processor kuka_compensated, with the arguments --cell CELL.toml "
+        "--material NAME: stock and tools of the job give the forces (postproc forces --materials lists the names).",
     ),
     "robodk": Host(
-        "RoboDK",
-        "KUKA_KRC4_compensated.py",
-        ("C:/RoboDK/Posts", "~/RoboDK/Posts", "/opt/RoboDK/Posts", "/Applications/RoboDK.app/Contents/MacOS/Posts"),
-        "Right-click the robot, 'Select Post Processor', KUKA_KRC4_compensated; the cell file is found as CELL.toml "
-        "or cell.toml in the folder of the station, or by the environment variable POSTPROC_CELL.",
+        title="RoboDK",
+        post="KUKA_KRC4_compensated.py",
+        folders=(
+            "C:/RoboDK/Posts",
+            "~/RoboDK/Posts",
+            "/opt/RoboDK/Posts",
+            "/Applications/RoboDK.app/Contents/MacOS/Posts",
+        ),
+        use="Right-click the robot, 'Select Post Processor', KUKA_KRC4_compensated; the cell file is found as "
+        "CELL.toml or cell.toml in the folder of the station, or by the environment variable POSTPROC_CELL.",
     ),
 }
 
@@ -101,8 +112,10 @@ def _candidate_folders(pattern: str) -> list[Path]:
 def install_post(name: str, folder: Path | None = None) -> list[Path]:
     """Copy the post of a host to the folder where the host looks for posts, with the command that runs this postproc.
 
+    A host is a CAM program, such as FreeCAD. Its post needs the shared folder next to it.
+
     :param name: a key of `HOSTS`.
-    :param folder: where; None = the first usual place that exists.
+    :param folder: the folder of the host's posts; None: the first of its usual places that exists.
     :return: the written files.
     :raises InputError: there is no such place, or it cannot be written to.
     """
@@ -110,26 +123,26 @@ def install_post(name: str, folder: Path | None = None) -> list[Path]:
     target = _post_folder(host, folder)
     source = Path(__file__).parent
     shared_folder = target / _SHARED_FOLDER
-    post, package, setting, module = (
-        target / host.post,
-        shared_folder / "__init__.py",
-        shared_folder / "command.json",
-        shared_folder / _COPIED_FILE,
-    )
+    post = target / host.post
+    package_file = shared_folder / "__init__.py"
+    command_file = shared_folder / _COMMAND_FILE
+    module_file = shared_folder / _SAFE_TEXT_MODULE
     try:
         shared_folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source / host.post, post)
-        shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", package)
-        shutil.copyfile(source.parent / _COPIED_FILE, module)
+        shutil.copyfile(source / _SHARED_FOLDER / "__init__.py", package_file)
+        shutil.copyfile(source.parent / _SAFE_TEXT_MODULE, module_file)
         content = {"command": _host_command(target)}
-        setting.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        command_file.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be written there: {cause.strerror}.") from cause
-    return [post, package, setting, module]
+    return [post, package_file, command_file, module_file]
 
 
 def remove_post(name: str, folder: Path | None = None) -> list[Path]:
-    """Remove the post of a host; the package that all posts share stays while the folder has that of another host.
+    """Remove the post of a host, a CAM program, from its folder of posts.
+
+    The folder that posts share is removed too, unless it is still needed: the post of another host is in the folder.
 
     :param name: a key of `HOSTS`.
     :param folder: the folder of the host's posts; None: the first of its usual places that exists.
@@ -139,14 +152,15 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
     host = HOSTS[name]
     target = _post_folder(host, folder)
     other_posts = [target / other_host.post for other_host in HOSTS.values() if other_host is not host]
+    is_shared_folder_needed = any(path.is_file() for path in other_posts)
     files = [target / host.post]
-    if not any(path.is_file() for path in other_posts):
-        files += [target / _SHARED_FOLDER / name for name in ("__init__.py", "command.json", _COPIED_FILE)]
+    if not is_shared_folder_needed:
+        files += [target / _SHARED_FOLDER / file for file in ("__init__.py", _COMMAND_FILE, _SAFE_TEXT_MODULE)]
     existing_files = [path for path in files if path.is_file()]
     try:
         for path in existing_files:
             path.unlink()
-        if len(files) > 1:
+        if not is_shared_folder_needed:
             shutil.rmtree(target / _SHARED_FOLDER, ignore_errors=True)
     except OSError as cause:
         raise InputError(f"{target}: the post cannot be removed: {cause.strerror}.") from cause
@@ -154,9 +168,16 @@ def remove_post(name: str, folder: Path | None = None) -> list[Path]:
 
 
 def _host_command(folder: Path) -> list[str]:
-    """Return the command that runs this postproc from the host; for a host on Windows and postproc in WSL, by `wsl`."""
+    """Return the command that runs this postproc from the host.
+
+    If postproc runs in WSL, the Linux of Windows, and the host on Windows, the command is run by `wsl`.
+
+    :param folder: the folder of the host's posts.
+    """
     words = [sys.executable, "-m", "postproc"]
-    if "microsoft" not in platform.release().lower() or folder.resolve().parts[1:2] != ("mnt",):
+    is_wsl = "microsoft" in platform.release().lower()
+    is_on_windows_drive = folder.resolve().parts[1:2] == ("mnt",)  # /mnt/c/… is C:/…
+    if not (is_wsl and is_on_windows_drive):
         return words
     distribution = os.environ.get("WSL_DISTRO_NAME")
     return ["wsl", *(["-d", distribution] if distribution else []), "--", *words]

@@ -117,7 +117,14 @@ def _read_station(robolink: Any, station: str) -> Station:
     if len(joints) > len(JOINTS):
         remarks = (f"{len(joints) - len(JOINTS)} external axes of the station are not taken over",)
     flange = np.array(arm.SolveFK(list(joints)).Rows())[:3, 3]
-    return Station(arm.Name(), _frame(arm.PoseFrame()), _frame(arm.PoseTool()), start, flange, remarks)
+    return Station(
+        robot=arm.Name(),
+        base=_frame(arm.PoseFrame()),
+        tool=_frame(arm.PoseTool()),
+        start=start,
+        flange=flange,
+        remarks=remarks,
+    )
 
 
 def _frame(pose: Any) -> tuple[float, ...]:

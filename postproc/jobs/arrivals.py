@@ -39,7 +39,8 @@ class Arrivals:
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
         """Return the programs that are ready to be converted, sorted.
 
-        Their inputs differ from the inputs of the last conversion, and have not changed for `QUIET` s. They have forces
+        A signature is the names, sizes and times of files: while it is equal, they have not changed. The inputs of
+        ready programs differ from those of the last conversion, and have not changed for `QUIET` s. They have forces
         and can be read. Programs that others of the folder call are left out: they are converted with their callers.
 
         :param time_s: monotonic time [s].

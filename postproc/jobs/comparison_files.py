@@ -68,10 +68,13 @@ class CompareRequest(Struct, frozen=True, kw_only=True):
 
         :raises ProgramError: an extension is not known, and `dialect` is None.
         """
-        is_known, is_second_known = map(registry.has_known_extension, (self.nominal, self.corrected))
+        is_nominal_known = registry.has_known_extension(self.nominal)
+        is_corrected_known = registry.has_known_extension(self.corrected)
+        # `dialect` is that of the file whose extension is not known; if both are known, of the nominal program
+        is_of_nominal = is_corrected_known or not is_nominal_known
         return (
-            registry.dialect_of_file(self.nominal, self.dialect if is_second_known or not is_known else None),
-            registry.dialect_of_file(self.corrected, None if is_second_known else self.dialect),
+            registry.dialect_of_file(self.nominal, self.dialect if is_of_nominal else None),
+            registry.dialect_of_file(self.corrected, None if is_corrected_known else self.dialect),
         )
 
     def input_files(self) -> list[Path]:
@@ -199,6 +202,9 @@ def _stated_ends(path: Path) -> Bools | None:
 def _refuse_part(path: Path, program: Program) -> None:
     """Refuse a file that is only a part of a divided program, or one of its modules.
 
+    A large program is divided into parts, which its main file calls, or into modules, which are loaded one by one. Both
+    state it in their line of origin, a comment.
+
     :raises InputError: the file is such a part or module.
     """
     origin = _origin(program)
@@ -210,10 +216,10 @@ def _refuse_part(path: Path, program: Program) -> None:
             advice="Convert with divide_into_modules = false in [output] of the cell, into another folder, and compare "
             "that program: it has the same motions. `predict` takes a module.",
         )
-    whole = origin.part_of
-    if whole:
+    main_file = origin.part_of
+    if main_file:
         raise InputError(
-            f"this file is a part of {whole}, which calls it", file=str(path), advice=f"Name {whole} instead."
+            f"this file is a part of {main_file}, which calls it", file=str(path), advice=f"Name {main_file} instead."
         )
 
 
@@ -239,7 +245,10 @@ def _refuse_corrected_program(path: Path, program: Program) -> None:
 
 
 def _origin(program: Program) -> provenance.Provenance:
-    """Return what a program states of its origin; the state "none" for a format that postproc does not write."""
+    """Return what a program states of its origin in a comment line: version, mode, checksums of its inputs.
+
+    The state is "none" for a format that postproc does not write.
+    """
     writer = registry.dialect_of_name(program.dialect).writer
     return provenance.Provenance("none") if writer is None else writer.origin(program.documents)
 

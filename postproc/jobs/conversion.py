@@ -58,7 +58,8 @@ def mark_origin(
 ) -> Result:
     """Return a result whose program states its origin in a comment line; `output_line` counts the inserted lines.
 
-    A program that is unchanged to the byte gets no such line, and a result without documents is returned as it is.
+    The line of origin has version, options and the checksums of all inputs, so that a written program can be traced. A
+    program that is unchanged to the byte gets no such line, and a result without documents is returned as it is.
 
     :param names_as_read: new names of copies of subprograms → names as they were read; None: there are no copies.
     """
@@ -212,7 +213,7 @@ def convert(
     is_computed = False  # True: only the staging of the files can fail, and the files of an earlier run stay
     try:
         check_utf8(job.program)
-        name, setup_cell = None if job.keeps_text else job.stem, cell
+        name, setup_cell = None if job.keeps_text else job.stem, cell  # the cell before the start of the program
         origin = origin_of((), settings.cell, cell, job.forces, "corrected")
         program, cell = read_with_start(job.program, robot, cell, job.dialect, name)
         result, process = convert_program(job, settings, cell, robot, program, progress)
@@ -415,7 +416,7 @@ def _output_of(
     origin = origin_of(result.program.documents, settings.cell, cell, job.forces, "corrected")
     tolerance = _judged_tolerance(settings, cell)
     summary = replace(
-        report.summary(result, tolerance, cell.part_tolerance, surface),
+        report.summary(result, tolerance=tolerance, part_tolerance=cell.part_tolerance, surface=surface),
         copied=_motionless_copies(marked_output) or None,
         inputs=_report_inputs(origin, result.program, job.output),
     )
@@ -529,7 +530,14 @@ def surface_of(result: Result, part: Path, process: Path | None, mesh_frame: Arr
             radius = 0.5 * tool.diameter_mm * M_PER_MM
             corner = radius if tool.shape == "ball" else tool.corner_radius_mm * M_PER_MM
             cutters[entry] = Cutter(radius, corner, tool.flutes)
-    return surface(result, corners, cutters, mesh_frame, facet_error, tool=tool_of_target)
+    return surface(
+        result,
+        corners=corners,
+        cutters=cutters,
+        mesh_frame=mesh_frame,
+        facet_error=facet_error,
+        tool=tool_of_target,
+    )
 
 
 class _MarkedResult(NamedTuple):

@@ -34,7 +34,7 @@ class _ReportedFiles(Struct, frozen=True):
 
 
 class Setup(Struct, frozen=True):
-    """The cell that results are compared with.
+    """The cell with whose present content results are compared.
 
     :param path: the cell file; `cell`: its content, None: the cell is unusable.
     """

@@ -71,7 +71,7 @@ def _readings(experiment: Path) -> Readings:
     files = [path for path in sorted(folder.glob("*.csv")) if set(_header(path)) >= _COLUMNS]
     files.sort(key=lambda path: path.stem.lower() != "measurements")  # measurements.csv first, the others as sorted
     compensators = [path for path in sorted(folder.glob("*.toml")) if "compensator" in path.stem.lower()]
-    return Readings(experiment, tuple(files), tuple(compensators))
+    return Readings(experiment=experiment, files=tuple(files), compensators=tuple(compensators))
 
 
 def _header(path: Path) -> Iterator[str]:
@@ -92,8 +92,8 @@ def model_of(folder: Path) -> ModelFolder | None:
         return None
     verdict = content.verdict
     return ModelFolder(
-        folder,
-        "" if verdict is None else verdict.line,
-        verdict is not None and verdict.refused,
-        tuple(content.warnings),
+        folder=folder,
+        verdict="" if verdict is None else verdict.line,
+        refused=verdict is not None and verdict.refused,
+        warnings=tuple(content.warnings),
     )

@@ -142,15 +142,15 @@ def _field(table: str, key: str, part: Mapping[str, Any], value: Any, *, is_requ
         return None
     kind: Kind = "span" if pair is not None else "choice" if "enum" in limits else _KINDS[limits["type"]]
     return FormField(
-        table,
-        key,
-        kind,
-        _field_text(value),
-        limits.get("minimum", limits.get("exclusiveMinimum")),
-        limits.get("maximum", limits.get("exclusiveMaximum")),
-        tuple(limits.get("enum", ())),
-        part.get("description", ""),
-        is_required,
+        table=table,
+        key=key,
+        kind=kind,
+        text=_field_text(value),
+        least=limits.get("minimum", limits.get("exclusiveMinimum")),
+        most=limits.get("maximum", limits.get("exclusiveMaximum")),
+        choices=tuple(limits.get("enum", ())),
+        help=part.get("description", ""),
+        is_required=is_required,
     )
 
 

@@ -168,7 +168,10 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
     cell = _cell_of(request, robot)
     config = None if request.config_dat is None else relative_path(folder, request.config_dat)
     turn, remarks = _turn_of_tool(cell, robot)
-    tools = {number: Frame(*_six_values(f"$TOOL of T{number}", words, 3)) for number, words in request.tools.items()}
+    tools = {
+        number: Frame(*_six_values(f"$TOOL of T{number}", words, min_count=3))
+        for number, words in request.tools.items()
+    }
     remarks = (
         *_metre_questions(cell, tools),
         *_base_warnings(cell),
@@ -182,7 +185,7 @@ def write_cell(request: CellRequest) -> tuple[str, ...]:
 
 
 def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
-    """Return the cell of a request: robot, frames and start.
+    """Return the cell of a request: robot, frames, and the joints where programs start.
 
     A start that the request does not state is above the part; if that is out of reach, it is `USUAL_START`.
 
@@ -190,7 +193,7 @@ def _cell_of(request: CellRequest, robot: RobotModel) -> Cell:
     """
     is_shipped = request.robot in robots.shipped_models()
     robot_path = request.robot if is_shipped else relative_path(request.output.parent, Path(request.robot))
-    start = USUAL_START if request.start is None else _six_values("start joints", request.start, 6)
+    start = USUAL_START if request.start is None else _six_values("start joints", request.start, min_count=6)
     _check_joint_limits(start, robot)
     if request.part_tolerance is not None and not 0.0 < request.part_tolerance <= LARGEST_LENGTH_MM:
         raise OptionError(f"part tolerance {request.part_tolerance:g} mm", advice="Give a length above 0.")
@@ -251,7 +254,7 @@ def usual_base(robot: str) -> Numbers:
     :param robot: name of a shipped robot, or path of a model folder.
     :raises ModelError: there is no such robot.
     """
-    # X offsets of the axes A2 to A5 from the axes before them
+    # sum of the X offsets [m] of the axes A2 to A5 from the axes before them
     reach = float(np.abs(load_robot(robot).nominal.placement[1:5, 0, 3]).sum()) * MM_PER_M
     # somewhat more than half of the reach in front of the robot, at a quarter of it in height (assumed)
     return round(0.55 * reach, -2), 0.0, round(0.25 * reach, -2)
@@ -280,7 +283,7 @@ def _six_frame_values(array: str, value: Numbers | int, request: CellRequest, ro
     :raises OptionError: an index without a `$config.dat`, or a wrong count of numbers.
     """
     if not isinstance(value, int):
-        return _six_values("$BASE" if array == "BASE_DATA" else "$TOOL", value, 3)
+        return _six_values("$BASE" if array == "BASE_DATA" else "$TOOL", value, min_count=3)
     if request.config_dat is None:
         raise OptionError(
             f"{array}[{value}] is in no file", advice="Name it with --config-dat, or give X,Y,Z[,A,B,C] instead."
@@ -351,15 +354,16 @@ def _base_warnings(cell: Cell) -> Iterator[str]:
 def _turn_of_tool(cell: Cell, robot: RobotModel) -> tuple[float, tuple[str, ...]]:
     """Return the constant turn of the tool about its axis [deg], one of `QUARTER_TURNS`, and warnings for the user.
 
-    From the start to the tool upright on the origin of `$BASE`, A4 and A6 change least with this turn. If the origin is
-    out of reach with each of them, the turn is 0, and a warning says so.
+    With this turn A4 and A6 change least on the way from the start to the tool upright on the origin of `$BASE`. If the
+    origin is out of reach with each of them, the turn is 0, and a warning says so.
     """
     start = cell.start_joints
     wrist_changes = []
     for turn in QUARTER_TURNS:
-        joints = upright_joints(cell, robot, turn, 0.0)
+        joints = upright_joints(cell, robot, turn=turn, height=0.0)
         changes = np.abs((joints - start + np.pi) % (2.0 * np.pi) - np.pi)  # the shorter way round
-        wrist_changes.append(float(changes[[3, 5]].max()) if np.isfinite(changes).all() else np.inf)
+        is_reached = np.isfinite(changes).all()
+        wrist_changes.append(float(changes[[3, 5]].max()) if is_reached else np.inf)  # A4 and A6
     best = int(np.argmin(wrist_changes))
     if np.isfinite(wrist_changes[best]):
         return QUARTER_TURNS[best], ()
@@ -510,7 +514,7 @@ def _tool_tables(tools: Mapping[int, Frame]) -> str:
 
 def _work_offset_tables(frame_values: Mapping[str, Numbers]) -> str:
     """Return the tables of work offsets, or an example of one."""
-    frames = {code: Frame(*_six_values(code, words, 3)) for code, words in frame_values.items()}
+    frames = {code: Frame(*_six_values(code, words, min_count=3)) for code, words in frame_values.items()}
     tables = "\n".join(f"\n[work_offsets.{_table_key(code)}]\n{_frame_lines(frame)}" for code, frame in frames.items())
     if tables:
         return f"# frames in $BASE after G55 and so on; G54 is $BASE itself{tables}"
@@ -521,7 +525,10 @@ def _work_offset_tables(frame_values: Mapping[str, Numbers]) -> str:
 
 def _numbered_frame_tables(table: Literal["base_data", "tool_data"], values: Mapping[int, Numbers]) -> str:
     """Return the tables of frames that KRL programs name by number; an empty text if there are none."""
-    frames = {number: Frame(*_six_values(f"{table.upper()}[{number}]", words, 3)) for number, words in values.items()}
+    frames = {
+        number: Frame(*_six_values(f"{table.upper()}[{number}]", words, min_count=3))
+        for number, words in values.items()
+    }
     return "".join(
         f"\n{f'[{table}.{number}]':<33}# {table.upper()}[{number}] of KRL programs\n{_frame_lines(frame)}\n"
         for number, frame in frames.items()
@@ -707,7 +714,7 @@ def _link_meshes(geometry: Sequence[Geometry], urdf: Path, arm: AdoptedModel) ->
     file_visuals, problems = shapes.read([shape for shape in geometry if shape.drawn], urdf)
     file_solids, solid_problems = shapes.read([shape for shape in geometry if not shape.drawn], urdf)
     visuals, solids = (
-        # row 0 of `moved` is the base, whose carrier is −1
+        # a carrier is the joint that moves the link: row 0 of `moved` is that of the base, whose carrier is −1
         [shape.transform(arm.moved[shape.carrier + 1]) for shape in shapes.join_by_carrier(file_shapes)]
         for file_shapes in (file_visuals, file_solids)
     )

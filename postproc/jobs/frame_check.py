@@ -109,7 +109,9 @@ def read_touches(path: Path) -> TouchedPoints:
 
     :raises InputError: the file cannot be read, has fewer than three points, or all points are on a line.
     """
-    numbers, texts, _ = read_csv(path, ["point", "X", "Y", "Z", *JOINTS], [], InputError, text_columns=("point",))
+    numbers, texts, _ = read_csv(
+        path, required_columns=["point", "X", "Y", "Z", *JOINTS], optional=[], error=InputError, text_columns=("point",)
+    )
     if len(texts["point"]) < _MIN_POINTS:
         advice = (
             f"Touch at least {_MIN_POINTS} points that are not on one line, one with the tool turned and one with it "
@@ -202,7 +204,7 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
         errors["hidden_error"] = _INTERVAL_FACTOR * sigma / visible_length
     best_hypothesis = frames[0] if frames else "both" if suspect == "contradiction" else "none"
     distances, distances_left = (norm(values.reshape(-1, 3)) for values in (residual, residual_left[best_hypothesis]))
-    return FrameCheck(suspect, touches, distances, distances_left, **errors)
+    return FrameCheck(suspect=suspect, points=touches, distances=distances, distances_left=distances_left, **errors)
 
 
 def _residual_left(matrix: Array, residual: Array) -> Array:

@@ -121,40 +121,58 @@ def next_question(
 
 
 def _cell_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
-    """Yield the questions whose answers make the cell, in the order in which they are asked."""
+    """Yield the questions whose answers make the cell, in the order in which they are asked.
+
+    Answers so far decide whether later questions are asked, and what they offer.
+    """
     yield Question(
-        "robot",
-        "Robot, or the path of a model folder",
-        "--robot kuka_kr270",
-        parse.robot,
-        "kuka_kr270",
+        key="robot",
+        text="Robot, or the path of a model folder",
+        option="--robot kuka_kr270",
+        parse=parse.robot,
+        default="kuka_kr270",
         hint=f"Robots: {', '.join(robots.shipped_models())}",
     )
     base = _usual_base(answers)
     yield from _frame_questions(needs, base)
-    stated_tables = {frame.partition(".")[0] for frame in needs.frames} if needs.is_of_robot else ()
+    # a robot program that names a frame by number, such as BASE_DATA[3], does not use [base] or [tool] of the cell
+    stated_tables = {frame.partition(".")[0] for frame in needs.frames} if needs.is_robot_program else ()
     if "base_data" not in stated_tables:
-        yield Question("base", "$BASE in the robot root: X,Y,Z[,A,B,C]", "--base X,Y,Z", parse.full_frame, base)
+        yield Question(
+            key="base",
+            text="$BASE in the robot root: X,Y,Z[,A,B,C]",
+            option="--base X,Y,Z",
+            parse=parse.full_frame,
+            default=base,
+        )
     if needs.changes_tools or "tool_data" not in stated_tables:
         yield from _tool_questions(needs)
     for code in needs.work_offsets:
         text = f"{code}, which the program uses, in $BASE: X,Y,Z[,A,B,C]"
-        yield Question(f"work_offset.{code}", text, f"--work-offset {code}=X,Y,Z", parse.full_frame)
+        yield Question(
+            key=f"work_offset.{code}", text=text, option=f"--work-offset {code}=X,Y,Z", parse=parse.full_frame
+        )
     for code in needs.m_codes:
         text = f"{code} of the machine: none if it has no effect on the robot, or the line to write for it"
-        yield Question(MACHINE_QUESTION + code, text, f"--m-code {code}", parse.line, parse.NO_LINES)
+        yield Question(
+            key=MACHINE_QUESTION + code, text=text, option=f"--m-code {code}", parse=parse.line, default=parse.NO_LINES
+        )
     yield from _rotary_questions(needs, answers)
     yield from _setting_questions(needs)
     yield from _machine_questions(needs)
     text = "What the part may be off, mm (95 %); empty: nothing is judged by it"
-    yield Question("part_tolerance", text, "--part-tolerance MM", parse.tolerance, "", optional=True)
+    yield Question(
+        key="part_tolerance", text=text, option="--part-tolerance MM", parse=parse.tolerance, default="", optional=True
+    )
     if "robot" in answers.values and load_robot(answers.values["robot"]).language == "rapid":
         text = "Spindle, holder and tool on the flange: kg,X,Y,Z of the centre of mass; empty: set in the controller"
-        yield Question("payload", text, "--payload KG,X,Y,Z", parse.payload, "", optional=True)
+        yield Question(
+            key="payload", text=text, option="--payload KG,X,Y,Z", parse=parse.payload, default="", optional=True
+        )
 
 
 def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question]:
-    """Yield the questions on frames that the program names by number.
+    """Yield the questions on frames that the program names by number, such as ``base_data.3``.
 
     :param base: place of a part that is offered, ``X,Y,Z`` [mm]; None: no place is offered.
     """
@@ -163,41 +181,47 @@ def _frame_questions(needs: ProgramNeeds, base: str | None) -> Iterator[Question
         place, example = ("robot root", base) if name == "base_data" else ("flange frame", _USUAL_TOOL)
         text = f"{name.upper()}[{number}], which the program uses, in the {place}: X,Y,Z[,A,B,C]"
         option = f"--{name.replace('_', '-')} {number}=X,Y,Z"
-        yield Question(frame, text, option, parse.stated_frame, example)
+        yield Question(key=frame, text=text, option=option, parse=parse.stated_frame, default=example)
 
 
 def _tool_questions(needs: ProgramNeeds) -> Iterator[Question]:
     """Yield the questions on `$TOOL`: one for each tool if the program changes tools, else a single one."""
     if not needs.changes_tools:
         text = "$TOOL, the tool tip in the flange frame: X,Y,Z[,A,B,C]"
-        yield Question("tool", text, "--tool X,Y,Z", parse.full_frame, _USUAL_TOOL)
+        yield Question(key="tool", text=text, option="--tool X,Y,Z", parse=parse.full_frame, default=_USUAL_TOOL)
         return
     for number in needs.tools:
         yield Question(
-            f"tool.{number}",
-            f"$TOOL of T{number}{_comment_text(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
-            f"--tools {number}=X,Y,Z",
-            parse.full_frame,
-            _USUAL_TOOL,
+            key=f"tool.{number}",
+            text=f"$TOOL of T{number}{_comment_text(needs, str(number))}, tip in the flange frame: X,Y,Z[,A,B,C]",
+            option=f"--tools {number}=X,Y,Z",
+            parse=parse.full_frame,
+            default=_USUAL_TOOL,
         )
 
 
 def _machine_questions(needs: ProgramNeeds) -> Iterator[Question]:
     """Yield the questions on retraction, tool changer, spindle and coolant that the program raises."""
-    if not needs.is_of_robot:
+    if not needs.is_robot_program:
         height = CLEARANCE_MM
         if needs.span is not None:
             _, (_, _, highest_cut) = needs.span  # smallest and largest X, Y, Z
             height = max(height, round(highest_cut + _RETRACT_ABOVE_CUTS_MM, -1))  # to whole centimetres
         text = "Z of $BASE to which programs retract (G28, G30, G53)"
-        yield Question("clearance", text, "--clearance Z", parse.number, f"{height:g}", optional=True)
+        yield Question(
+            key="clearance", text=text, option="--clearance Z", parse=parse.number, default=f"{height:g}", optional=True
+        )
     if needs.changes_tools:
         text = "Tool change: hand (the program stops), none, or a line that calls the changer, with {T}"
-        yield Question("tool_change", text, "--tool-change LINE", parse.line, BY_HAND, optional=True)
+        yield Question(
+            key="tool_change", text=text, option="--tool-change LINE", parse=parse.line, default=BY_HAND, optional=True
+        )
     for name, codes in (("spindle", "M3, with {S}, and M5"), ("coolant", "M7 and M8, and for M9")):
         if name in needs.switches:
             text = f"{name.capitalize()}: lines for {codes}, with | between, or hand"
-            yield Question(name, text, f'--{name} "ON|OFF"', parse.switch, BY_HAND, optional=True)
+            yield Question(
+                key=name, text=text, option=f'--{name} "ON|OFF"', parse=parse.switch, default=BY_HAND, optional=True
+            )
 
 
 def _usual_base(answers: Answers) -> str | None:
@@ -222,79 +246,92 @@ def _rotary_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Questio
     default_order = ",".join(letter for letter in "CBA" if letter in needs.rotary)
     text = "Rotary axes from the part outwards"
     yield Question(
-        "rotary_axes",
-        text,
-        f"--rotary {default_order}",
-        parse.rotary_axes,
-        default_order,
+        key="rotary_axes",
+        text=text,
+        option=f"--rotary {default_order}",
+        parse=parse.rotary_axes,
+        default=default_order,
         optional=len(needs.rotary) == 1,
     )
     text = "X, Y, Z of the program: tcp (tip in the part, tool-centre-point control) or indexed (the part turns)"
+    # a program that switches tool-centre-point control on means the tip
     kind = "tcp" if needs.tip_controlled else None
     yield Question(
-        "rotary_kind",
-        text,
-        "--rotary-kind tcp",
-        parse.choice_parser("tcp", "indexed"),
-        kind,
+        key="rotary_kind",
+        text=text,
+        option="--rotary-kind tcp",
+        parse=parse.choice_parser("tcp", "indexed"),
+        default=kind,
         optional=needs.tip_controlled,
     )
     if answers.values.get("rotary_kind") == "indexed":
         for letter in answers.values.get("rotary_axes", ()):
             text = f"A point of the rotary axis {letter} in $BASE: X,Y,Z"
-            yield Question(f"rotary_point.{letter}", text, f"--rotary-point {letter}=X,Y,Z", parse.place)
+            yield Question(
+                key=f"rotary_point.{letter}", text=text, option=f"--rotary-point {letter}=X,Y,Z", parse=parse.place
+            )
 
 
 def _setting_questions(needs: ProgramNeeds) -> Iterator[Question]:
     """Yield the questions on settings of the control that the program relies on (`ProgramNeeds.settings`)."""
     if "home" in needs.settings:
         text = "Where X, Y, Z are before the first move and after G28, G53, in $BASE: X,Y,Z"
-        yield Question("home", text, "--home X,Y,Z", parse.place)
+        yield Question(key="home", text=text, option="--home X,Y,Z", parse=parse.place)
     if "radius_offsets" in needs.settings:
         text = "G41 and G42: does D of the control hold wear only (the path is that of the tool centre)? wear or radius"
-        yield Question("radius_offsets", text, "--radius-offsets wear", parse.choice_parser("wear", "radius"))
+        yield Question(
+            key="radius_offsets", text=text, option="--radius-offsets wear", parse=parse.choice_parser("wear", "radius")
+        )
     if "dwell_unit" in needs.settings:
         text = "P of G4 and of cycles: s (LinuxCNC) or ms (Fanuc, Haas, Mach3)"
-        yield Question("dwell_unit", text, "--dwell-unit ms", parse.choice_parser("s", "ms"))
+        yield Question(key="dwell_unit", text=text, option="--dwell-unit ms", parse=parse.choice_parser("s", "ms"))
 
 
 def _process_questions(needs: ProgramNeeds, answers: Answers) -> Iterator[Question]:
     """Yield the questions on material, tools and stock, whose answers make the process."""
-    yield Question("material", "Material", "--material NAME", parse.material, hint=f"Materials: {', '.join(table())}")
+    yield Question(
+        key="material",
+        text="Material",
+        option="--material NAME",
+        parse=parse.material,
+        hint=f"Materials: {', '.join(table())}",
+    )
     for key in needs.cutter_keys:
         name, prefix = "the tool", ""
         if key != DEFAULT:
             name, prefix = tool_text(key, is_of_robot=bool(needs.robot_tools)), f"{key}="
         comment = needs.cutter(key)
         yield Question(
-            f"cutter.{key}",
-            f"Cutter of {name}{_comment_text(needs, key)}: shape and diameter, such as flat,12; bull,12,1; ball,6; "
-            "drill,8",
-            f"--cutter {prefix}flat,12",
-            parse.cutter,
-            _cutter_text(comment),
+            key=f"cutter.{key}",
+            text=f"Cutter of {name}{_comment_text(needs, key)}: shape and diameter, such as flat,12; bull,12,1; "
+            "ball,6; drill,8",
+            option=f"--cutter {prefix}flat,12",
+            parse=parse.cutter,
+            default=_cutter_text(comment),
             optional=_cutter_text(comment) is not None,
         )
         yield Question(
-            f"flutes.{key}",
-            f"Cutting edges of {name}",
-            f"--flutes {prefix}3",
-            parse.flutes,
-            None if comment.flutes is None else str(comment.flutes),
+            key=f"flutes.{key}",
+            text=f"Cutting edges of {name}",
+            option=f"--flutes {prefix}3",
+            parse=parse.flutes,
+            default=None if comment.flutes is None else str(comment.flutes),
             optional=comment.flutes is not None,
         )
         if not needs.has_speeds:
             text = f"Spindle speed of {name}, 1/min: the program states none"
-            yield Question(f"rpm.{key}", text, f"--rpm {prefix}12000", parse.speed)
+            yield Question(key=f"rpm.{key}", text=text, option=f"--rpm {prefix}12000", parse=parse.speed)
     box = _stock_guess(needs, answers)
     has_size = needs.stock_mm is not None
     source = "its comments state the size: check the place" if has_size else "around what the tools sweep: check it"
     yield Question(
-        "stock",
-        f"Stock in $BASE, mm, or the path of an STL ({source})" if box else "Stock in $BASE, mm, or the path of an STL",
-        "--stock X=0:100,Y=0:80,Z=-20:0",
-        parse.stock,
-        None if box is None else box_text(box),
+        key="stock",
+        text=f"Stock in $BASE, mm, or the path of an STL ({source})"
+        if box
+        else "Stock in $BASE, mm, or the path of an STL",
+        option="--stock X=0:100,Y=0:80,Z=-20:0",
+        parse=parse.stock,
+        default=None if box is None else box_text(box),
         optional=box is not None,
     )
 
@@ -326,7 +363,7 @@ class StartFiles(Struct, frozen=True):
 
 
 def cell_request(output: Path, answers: Answers, **fields: Any) -> CellRequest:
-    """Return the request for the cell that the answers describe; values without an answer get their default.
+    """Return the request for the cell file that the answers describe; values without an answer get their default.
 
     :param output: cell file to write.
     :param fields: further fields of the request, such as ``axis``; they replace answers.
@@ -477,7 +514,7 @@ def sum_of(path: Path) -> str:
 
 
 def is_edited(path: Path, content: AnswerFile) -> bool:
-    """Return whether a file exists and differs from what was written from the answers."""
+    """Return whether a file exists and was not written from the answers, or was edited afterwards."""
     return path.exists() and content.written.get(path.name) != sum_of(path)
 
 
@@ -517,13 +554,15 @@ def merge_needs(programs: list[ProgramNeeds]) -> ProgramNeeds:
     Forces and speeds count as stated only if all programs state them. The cutter of a number is that of the first
     program with it.
     """
-    first = next((program for program in programs if not program.is_of_robot), programs[0])
+    first = next((program for program in programs if not program.is_robot_program), programs[0])
     spans = [program.span for program in programs if program.span is not None]
     span: Any = None
     if spans:
-        # the values of X, of Y and of Z at the low corners, and at the high ones
-        low, high = (tuple(zip(*corners, strict=True)) for corners in zip(*spans, strict=True))
-        span = (tuple(map(min, low)), tuple(map(max, high)))
+        low_corners, high_corners = zip(*spans, strict=True)
+        span = (
+            tuple(min(values) for values in zip(*low_corners, strict=True)),
+            tuple(max(values) for values in zip(*high_corners, strict=True)),
+        )
     union: dict[str, Any] = {
         name: tuple(dict.fromkeys(value for program in programs for value in getattr(program, name)))
         for name in ("tools", "work_offsets", "frames", "m_codes", "rotary", "settings")

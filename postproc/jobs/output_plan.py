@@ -437,6 +437,7 @@ class OutputPlan:
         names = outcome.staged_files.names
         protect([*job.input_files(), *map(Path, outcome.read)], job.output, names)
         planned_names = job.output_names(mode)
+        # parts of a divided program, and files of subprograms
         unplanned_names = [name for name in names if name not in planned_names]
         _refuse_names_of_parts(task, unplanned_names)
         self._refuse_called_names(job, [name for name in unplanned_names if name not in outcome.shared_files])
@@ -460,32 +461,35 @@ class OutputPlan:
         if not self._overwrite:
             refuse(find_foreign_files(job.output, obsolete, job.report_name(mode)))
         partners = folder.programs_needing(changed_names) - {job.report_name(mode)} if changed_names else frozenset()
-        return _PendingOutput(task, outcome, tuple(obsolete), partners)
+        return _PendingOutput(task=task, outcome=outcome, obsolete=tuple(obsolete), partners=partners)
 
     def _take_groups(self) -> list[list[_PendingOutput]]:
         """Return the groups of programs whose files belong together and are all complete; remove them from `_complete`.
 
         Groups with a partner that is still to be converted stay.
         """
-        waiting, ready, incomplete = self._complete, [], []
-        while waiting:
-            group = [waiting[0]]
+        programs, complete_groups, incomplete = self._complete, [], []
+        while programs:
+            group = [programs[0]]
             for program in group:  # the list grows in the loop until no program has a further partner
                 group += [
                     candidate
-                    for candidate in waiting
+                    for candidate in programs
                     if candidate not in group and self._share_files(program, candidate)
                 ]
-            waiting = [program for program in waiting if program not in group]
+            programs = [program for program in programs if program not in group]
             if any(self._folders[program.task.job.output].has_pending(program.partners) for program in group):
                 incomplete += group
             else:
-                ready.append(group)
+                complete_groups.append(group)
         self._complete = incomplete
-        return ready
+        return complete_groups
 
     def _share_files(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:
-        """Return whether the files of two programs must be replaced together: one changes a file that both need."""
+        """Return whether the files of two programs must be replaced together: one changes a file that both need.
+
+        Such programs are partners; a program lists its partners by the names of their reports.
+        """
         if program_a.task.job.output != program_b.task.job.output:
             return False
         report_a, report_b = (program.task.job.report_name(self._mode) for program in (program_a, program_b))
@@ -611,7 +615,9 @@ class _Folder:
         for path in sorted(self._path.glob("*.report.json")):
             digests = {name: file_digest for name, file_digest in recorded_files(path).items() if name in file_names}
             program = path.name.removesuffix(".report.json")
-            records[path.name] = Record(program, self._path, digests, frozenset(recorded_names(path, COPIED_KEY)))
+            records[path.name] = Record(
+                program=program, folder=self._path, files=digests, copied=frozenset(recorded_names(path, COPIED_KEY))
+            )
         return records
 
     def _records(self) -> dict[str, Record]:
@@ -656,7 +662,7 @@ class _Folder:
         sums = {entry.name: entry.sha256 for entry in outcome.summary.files or ()}
         copies = frozenset(outcome.summary.copied or ())
         self._new_records[job.report_name(self._mode)] = Record(
-            job.stem, outcome.staged_files.path / "new", sums, copies
+            program=job.stem, folder=outcome.staged_files.path / "new", files=sums, copied=copies
         )
 
     def record_placement(self, job: Job) -> None:
@@ -710,8 +716,8 @@ class _Folder:
         None: no program needs it. None also if an earlier run wrote the file for this job too, or if it is a copy of a
         source of this job, whose routines without motions stay equal.
         """
-        pending = self.records_of_others(job, path.name, only_pending=True)
-        records = [record for record in self.records_of_others(job, path.name) if record not in pending]
+        pending_records = self.records_of_others(job, path.name, only_pending=True)
+        records = [record for record in self.records_of_others(job, path.name) if record not in pending_records]
         file_digest = _file_digest(path) if records else ""
         if not file_digest or self._job_files(job).get(path.name) == file_digest:
             return None
@@ -730,7 +736,9 @@ class _Folder:
 
 
 def _refuse_names_of_parts(task: Task, names: Iterable[str]) -> None:
-    """Check that files cannot be parts of another program of the run, which may be divided.
+    """Check that files cannot be parts of another program of the run.
+
+    A large program is divided into NAMEMain and NAME1, NAME2 …; how many files it gets is known only afterwards.
 
     :param names: names of files that the program of the task writes in addition to the planned ones.
     :raises InputError: a file may be such a part.
@@ -784,7 +792,7 @@ def leftover_note(jobs: Iterable[Job], mode: Mode) -> str:
 
 
 def removed_programs_note(jobs: Iterable[Job], mode: Mode) -> str:
-    """Return a sentence on written programs whose own program is no longer in the folders that the run takes.
+    """Return a sentence on written programs whose source is no longer in the folders from which the run converts.
 
     Empty if there are none, in a prediction, and if the user named all programs of the run.
     """

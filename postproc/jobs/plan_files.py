@@ -64,7 +64,14 @@ class PlanRequest(Struct, frozen=True, kw_only=True):
 
     def options(self) -> Options:
         """Return the options of the search for a plan."""
-        return Options(self.configurations, self.q2_levels, self.seed, self.grouped, self.test_poses, self.repeats)
+        return Options(
+            configurations=self.configurations,
+            levels=self.q2_levels,
+            seed=self.seed,
+            grouped=self.grouped,
+            test_poses=self.test_poses,
+            repeats=self.repeats,
+        )
 
     def input_files(self) -> list[Path]:
         """Return the files that are read."""
@@ -166,7 +173,9 @@ def make_compensator_plan(request: CompensatorRequest) -> CompensatorPlanFiles:
     protect([request.experiment], folder, (csv, record))
     if not request.overwrite:
         refuse(find_foreign_files(folder, (csv, record), record))
-    options = CompensatorOptions(request.angles, request.markers, request.repeats, request.margin * RAD_PER_DEG)
+    options = CompensatorOptions(
+        angles=request.angles, markers=request.markers, repeats=request.repeats, margin=request.margin * RAD_PER_DEG
+    )
     plan = plan_compensator(robot, setup.sigma, options)
 
     def rendered(files: list[FileEntry]) -> bytes:

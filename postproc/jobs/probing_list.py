@@ -41,7 +41,7 @@ def probing_list(path: Path) -> ProbingList:
 
 
 def check_probed(path: Path) -> None:
-    """Check that a file is a table of probed points, see `is_probed`.
+    """Check that a file is a table of probed points: it has the column deviation_mm.
 
     :raises InputError: the file is no such table.
     """

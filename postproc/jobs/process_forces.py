@@ -85,30 +85,43 @@ def hold_tolerance(
     if result.expected is None or cell.part_tolerance is None:
         advice = 'Give sigma_percent or a covariance in its model.toml, or write feed = "program".'
         raise InputError('[output] feed = "hold": the robot model states no uncertainty', advice=advice)
-    uses_min_feed = cell.output.unheld == "lowest"
+    uses_min_feed = cell.output.unheld == "lowest"  # for motions that exceed the tolerance at each feed
     error = _largest_by_motion(result)
     search = _Search(
-        program, tip_speed, cell.part_tolerance, min_feed, 1.0 - exponent, error, uses_min_feed=uses_min_feed
+        program=program,
+        tip_speed=tip_speed,
+        tolerance=cell.part_tolerance,
+        min_feed=min_feed,
+        power=1.0 - exponent,
+        error=error,
+        uses_min_feed=uses_min_feed,
     )
-    floor_error = np.full(len(motions), np.nan)  # errors without feed; NaN: not computed
+    error_without_feed = np.full(len(motions), np.nan)  # NaN: not computed
     if search.is_open.any():
         result = trial(search.program_at(search.min_feeds))
         if not result.failed and (unheld := search.take_least_feed_errors(_largest_by_motion(result))).any():
             result = trial(search.program_at(np.maximum(_ZERO_FEED_SHARE * motions.feed, _FEED_STEP)))
-            floor_error[unheld] = _largest_by_motion(result)[unheld]
+            error_without_feed[unheld] = _largest_by_motion(result)[unheld]
             search.settle(unheld)
         for _ in range(_MOST_TRIALS):
             if result.failed:
                 return result
             result = trial(search.program_at(search.trial_feeds()))
-            if search.take_errors(_largest_by_motion(result)):
+            if search.take_errors(_largest_by_motion(result)):  # the feeds are final
                 break
-        else:
+        else:  # no trial was final: take the highest feeds known to hold the tolerance
             result = trial(search.program_at(search.low))
     error = _largest_by_motion(result)
     feed = result.program.motions.feed
     held_feed = HeldFeed(
-        cell.part_tolerance, min_feed, cell.output.unheld, motions.feed, feed, length, error, floor_error
+        tolerance=cell.part_tolerance,
+        least=min_feed,
+        unheld=cell.output.unheld,
+        programmed_feed=motions.feed,
+        feed=feed,
+        length=length,
+        expected=error,
+        without_feed=error_without_feed,
     )
     return replace(result, held_feed=held_feed)
 
@@ -189,7 +202,8 @@ class _Search:
         self.limit, self.uses_min_feed = tolerance, uses_min_feed
         self.high, self.error_high = tip_speed.copy(), error
         self.min_feeds = np.minimum(tip_speed, np.ceil(min_feed / _FEED_STEP) * _FEED_STEP)
-        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(motions))  # see `take_least_feed_errors`
+        # errors at the least feeds are not known yet, see `take_least_feed_errors`
+        self.low, self.error_low = self.min_feeds.copy(), np.zeros(len(motions))
         self.was_raised, self.was_lowered = np.zeros(len(motions), dtype=bool), np.zeros(len(motions), dtype=bool)
         self.is_open: Bools = np.asarray(~motions.rapid & (error > tolerance) & (self.low < self.high))
 
@@ -217,7 +231,10 @@ class _Search:
             self.is_open = self.is_open & ~unheld
 
     def trial_feeds(self) -> Array:
-        """Return the feeds (M,) of the next trial [m/s], multiples of `_FEED_STEP`, by false position in feed^power."""
+        """Return the feeds (M,) of the next trial [m/s], multiples of `_FEED_STEP`, by false position in feed^power.
+
+        The error is nearly linear in feed^power, so the line between both bounds crosses the tolerance near the root.
+        """
         low, high = self.low**self.power, self.high**self.power
         gap = self.error_high - self.error_low
         share = np.clip((self.limit - self.error_low) / np.where(gap > 0.0, gap, 1.0), 0.0, 1.0)
@@ -337,9 +354,9 @@ _ASIDE_SINE = 0.2
 
 
 def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
-    """Return a note if the deflected tool moves aside of the command, along which chips and forces are computed.
+    """Return a note if the deflected tool does not move along the command, along which chips and forces are computed.
 
-    So it is where the force changes within a short way, as at the end of a slot or in a corner. The command of a
+    This happens where the force changes within a short way, as at the end of a slot or in a corner. The command of a
     corrected program steps aside there, and the tool goes straight.
 
     :param path: N samples of the path.
@@ -439,32 +456,34 @@ class _RealCut(NamedTuple):
 def _real_cut(path: PathUnderLoad, source: ProcessSource, deviation: Array) -> _RealCut:
     """Return the cut whose forces deflect the tool by as much as the tip was displaced for the cut.
 
-    After `_MOST_ROUNDS` rounds without agreement, the last cut is returned, with `is_settled` False.
+    A deflected tool cuts less than the programmed (nominal) engagement, so its forces are smaller: force and deflection
+    are found by fixed-point iteration with a displacement of the tip. After `_MOST_ROUNDS` rounds without agreement,
+    the last cut is returned, with `is_settled` False.
 
     :param path: N samples of the nominal path, under the forces of the nominal engagement.
     :param source: source of the forces of the nominal engagement.
-    :param deviation: (N, 3) deviation of the tip under these forces, `$BASE` [m].
+    :param deviation: (N, 3) deviation of the tip from the nominal path under these forces, `$BASE` [m].
     """
     motions, sample = path.motions, path.sample
     spindle, ramp = motions.robot_in_cell.spindle, motions.robot_in_cell.ramp
     weight = _weights(path)
-    cut, rounds, is_settled = source, 0, False
+    cut_source, rounds, is_settled = source, 0, False
     residual, offset, last_shift = deviation, _FIRST_OFFSET_SHARE * deviation, _FIRST_OFFSET_SHARE * deviation
     # offset: displacement of the tip for the cut; residual: deviation less offset, zero if they agree
     while not is_settled and rounds < _MOST_ROUNDS:
         rounds += 1
-        cut = source.shift_tip(Shift.of(path.program, sample.motion, sample.t, offset))
-        path_forces = forces.assign(path.program, motions.segments, cut, spindle, ramp)
+        cut_source = source.shift_tip(Shift.of(path.program, sample.motion, sample.t, offset))
+        path_forces = forces.assign(path.program, motions.segments, cut_source, spindle, ramp)
         change = _deviation(replace(path, wrench=path_forces.at(sample))) - deviation
         deviation = deviation + change
         residual, last_residual = deviation - offset, residual
         shift = residual - _overshoot(residual, residual - last_residual, weight) * change
         limit = max(_CONVERGENCE, _CONVERGENCE_SHARE * _rms(deviation, weight))
         is_settled = _next_change(change, last_shift, shift, weight) < limit
-        if rounds > 1 and not is_settled:
+        if rounds > 1 and not is_settled:  # but for places where the tool loses contact
             is_settled = _next_change(change, last_shift, shift, _contact_weights(weight, residual)) < limit
         last_shift, offset = shift, offset + shift
-    return _RealCut(cut, rounds, is_settled, deviation)
+    return _RealCut(source=cut_source, rounds=rounds, is_settled=is_settled, deviation=deviation)
 
 
 def _deviation(path: PathUnderLoad) -> Array:
@@ -636,7 +655,8 @@ def _computed_forces(
             progress=progress,
         )
     knots = _knots(program, process, forces)
-    content = process_forces.summary(program, forces, int(knots.ramped.sum()))
+    ramped_count = int(knots.ramped.sum())  # motions whose force grows from that of the motion before
+    content = process_forces.summary(program, forces, ramped_count)
     rows = machining.knots_by_line(program, path, robot_in_cell.spindle, knots)
     contents: dict[str, bytes | Iterable[bytes]] = {outputs.table: process_forces.forces_csv(program, rows)}
     mesh_issues: list[Issue] = []
@@ -694,6 +714,8 @@ def _outputs(request: ForcesRequest) -> _Outputs:
 
 def _knots(program: Program, process: Process, forces: ProcessForces | None) -> Knots:
     """Return the forces of all moves: stated forces of operations, and computed forces for other moves.
+
+    Knots are the places on motions that have a wrench; between them it is linear.
 
     :param forces: computed forces; None: the process has no material, and only operations state forces.
     """

@@ -40,7 +40,7 @@ _SIDE_MM = 5.0
 """A stock without a stated size is larger than what the tools sweep by this on each side [mm] (assumed)."""
 
 
-_ARC_STEP = np.radians(3.0)
+_ARC_ANGLE_STEP = np.radians(3.0)
 """Largest angle between points on arcs [rad]: the extremes of an arc are missed by 0.034 % of its radius."""
 _LEAST_UPRIGHT_COSINE = float(np.cos(np.radians(30.0)))
 """Cosine of the largest tilt at which a tool that goes up does not cut (assumed)."""
@@ -93,8 +93,8 @@ class ProgramNeeds(Struct, frozen=True):
     refusal: str = ""
 
     @property
-    def is_of_robot(self) -> bool:
-        """Whether it is a robot program, which states itself how it moves and retracts."""
+    def is_robot_program(self) -> bool:
+        """Whether it is in a robot language (KRL, RAPID), so that it states itself how it moves and retracts."""
         return registry.dialect_of_name(self.dialect).writer is not None
 
     @property
@@ -114,9 +114,10 @@ class ProgramNeeds(Struct, frozen=True):
 
     def cutter(self, key: str) -> CommentedTool:
         """Return the cutter with a key in [tools] of a process as comments describe it; empty if they do not."""
-        # −1: a key that is no number, which no comment describes
-        number = 0 if key == DEFAULT else int(key) if key.isdecimal() else -1
-        return self.cutters.get(number, CommentedTool())
+        if key == DEFAULT:  # the tool of a program without tool numbers
+            return self.cutters.get(0, CommentedTool())
+        # comments describe no tool by name
+        return self.cutters.get(int(key), CommentedTool()) if key.isdecimal() else CommentedTool()
 
     def stock_box(self, diameters: Mapping[str, float]) -> Box | None:
         """Return the stock in `$BASE` [mm], rounded outwards to whole millimetres; None: the program does not cut.
@@ -180,7 +181,7 @@ def needs_of(path: Path, dialect: str | None = None) -> ProgramNeeds:
         refusal=refusal,
     )
     if program is None:
-        return replace(needs, has_forces=needs.is_of_robot and states_forces(path))
+        return replace(needs, has_forces=needs.is_robot_program and states_forces(path))
     return _add_content(needs, program)
 
 
@@ -206,23 +207,23 @@ def _add_content(needs: ProgramNeeds, program: Program) -> ProgramNeeds:
 
 
 def _low_rapids(program: Program) -> tuple[tuple[float, float], ...]:
-    """Return X, Y of rapid moves that end below the highest cutting target, each once to 1 mm.
+    """Return X, Y [mm] of rapid moves that end below the highest cutting target: no stock is there at first.
 
-    Points are in the order of the moves. Moves to a place where a cut ended before are left out, such as moves into a
-    hole between two pecks.
+    They are rounded to 1 mm, each once, in the order of the moves. Moves to a place where a cut ended before are left
+    out, such as moves into a hole between two pecks.
     """
     motions = program.motions
     ends = motions.target.position
     rapid = np.asarray(motions.rapid)
     if rapid.all():
         return ()
-    places = [tuple(place) for place in np.round(ends[:, :2] * MM_PER_M).tolist()]
+    end_points = [tuple(place) for place in np.round(ends[:, :2] * MM_PER_M).tolist()]
     cutting = _cutting_motions(program)
     top = ends[cutting, 2].max() if len(cutting) else 0.0
     is_low = rapid & (ends[:, 2] < max(0.0, top) - _LEAST_DEPTH_M)  # the stock reaches up to Z 0 at least
     cut_places: set[tuple[float, ...]] = set()
     points: dict[tuple[float, float], None] = {}
-    for place, is_rapid, ends_low in zip(places, rapid.tolist(), is_low.tolist(), strict=True):
+    for place, is_rapid, ends_low in zip(end_points, rapid.tolist(), is_low.tolist(), strict=True):
         if not is_rapid:
             cut_places.add(place)
         elif ends_low and place not in cut_places:
@@ -262,7 +263,7 @@ def _cutting_motions(program: Program) -> Ints:
     columns = [0, 2] if program.keeps_text else [2]  # the axis of the tool: a robot program does not say which it is
     is_upright = (np.abs(target[:, 2, columns]) > _LEAST_UPRIGHT_COSINE).any(axis=1)
     is_cutting &= ~(toolpath.retract_motions(target[:, :3, 3], np.array([0.0, 0.0, 1.0])) & is_upright)
-    if program.notes:
+    if program.notes:  # forces that comments state, each from one motion on
         begins = np.array([note.before for note in program.notes])
         is_loaded = np.array([False, *(any(note.wrench) for note in program.notes)])
         # number of notes up to each motion: its last note holds, and before the first there is no force
@@ -289,15 +290,15 @@ def _span(program: Program) -> tuple[tuple[float, float, float], tuple[float, fl
 
 
 def _arc_points(program: Program, cutting: Ints) -> Array:
-    """Return points (n, 3) [m], `$BASE`, on the arcs of cutting motions, at most `_ARC_STEP` apart.
+    """Return points (n, 3) [m] on the arcs of cutting motions, at most 3° apart, each in the `$BASE` of its motion.
 
-    The end of an arc does not show its extent: a full circle ends where it begins.
+    They are needed because the end of an arc does not show its extent: a full circle ends where it begins.
 
     :param cutting: indices of the cutting motions.
     """
     arcs = cutting[program.motions.kind[cutting] == CIRC]
-    parts = np.ceil(program.motions.sweep[arcs] / _ARC_STEP).astype(np.int64)
-    motion, t = toolpath.even_places(arcs, parts)
+    part_count = np.ceil(program.motions.sweep[arcs] / _ARC_ANGLE_STEP).astype(np.int64)  # of each arc
+    motion, t = toolpath.even_places(arcs, part_count, at="end")
     # the start pose of the robot is not used: a move precedes the first arc
     path = toolpath.segments(program, np.eye(4))
     return np.asarray(toolpath.at(program, path, motion, t).pose.position)
@@ -361,7 +362,7 @@ class _Trial:
         settings = [
             setting
             for setting in answers  # needed if the program is refused without it
-            if self._read({key: value for key, value in answers.items() if key != setting}, kind)[0] is None
+            if self._is_refused({key: value for key, value in answers.items() if key != setting}, kind)
         ]
         return _TrialOutcome(program, settings=tuple(settings))
 
@@ -370,14 +371,22 @@ class _Trial:
 
         The program must be readable with all frames.
         """
-        return tuple(frame for frame in self.frames if self._read({}, frames={*self.frames} - {frame})[0] is None)
+        return tuple(frame for frame in self.frames if self._is_refused({}, frames={*self.frames} - {frame}))
 
     def _read_robot_program(self) -> _TrialOutcome:
         """Return a robot program as `outcome` does, without settings and without a refusal.
 
         It may be unreadable here only because frames of the controller are missing, which is no refusal.
         """
-        return _TrialOutcome(self._read({})[0])
+        program, _ = self._read({})
+        return _TrialOutcome(program)
+
+    def _is_refused(
+        self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None
+    ) -> bool:
+        """Return whether the program cannot be read with some answers; parameters as of `_read`."""
+        program, _ = self._read(answers, kind, frames)
+        return program is None
 
     def _read(
         self, answers: Mapping[str, Any], kind: str = _ROTARY_KINDS[0], frames: Collection[str] | None = None
@@ -385,7 +394,6 @@ class _Trial:
         """Return the program as it is read with some answers, and an empty text; if it is refused, None and the reason.
 
         :param answers: settings by name, as in `_ASSUMED_ANSWERS`.
-
         :param kind: meaning of X, Y, Z with rotary axes, one of `_ROTARY_KINDS`.
         :param frames: frames by number that the cell states; None: all that the program names.
         """

@@ -200,11 +200,11 @@ def _caller_outcome(job: Job, outcomes: Sequence[Outcome], settings: Settings) -
     callers = ", ".join(path.name for path in job.callers)
     file = str(job.output / job.program.name)
     partners = ", ".join(sorted(Path(outcome.program).name for outcome in outcomes if file in outcome.written_files))
-    unchanged = any(file in outcome.copied_files for outcome in outcomes)
+    is_unchanged = any(file in outcome.copied_files for outcome in outcomes)
     names = "it" if partners == callers else partners  # "called by A: written with it"
     if settings.mode == "predict":
         result = "read with them"
-    elif unchanged:
+    elif is_unchanged:
         result = f"written with {names}, unchanged"
     else:
         result = f"corrected with {names}" if partners else "not written with them"
@@ -222,7 +222,13 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     for folder in folders:
         folder_outcomes = [outcome_of_program[str(job.program)] for job in jobs if job.output == folder]
         entries = [
-            Entry(Path(outcome.program).name, "", None, failure_reason(outcome), called=outcome.is_skipped)
+            Entry(
+                Path(outcome.program).name,
+                page="",
+                content=None,
+                message=failure_reason(outcome),
+                called=outcome.is_skipped,
+            )
             for outcome in folder_outcomes
             if outcome.summary is None
         ]

@@ -52,7 +52,8 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
     """
     answers, skipped_keys, fields = Answers(), set[str](), []
     while question := next_question(needs, answers, skipped_keys, cell=cell, process=process):
-        text = texts.get(question.key, question.default or "" if question.optional else "").strip()
+        offered_text = (question.default or "") if question.optional else ""
+        text = texts.get(question.key, offered_text).strip()
         fault = ""
         is_guess = question.key == "stock" and question.default is not None
         if is_guess and text == texts.get(OFFERED_KEY) and not texts.get(CHECKED_KEY):
@@ -63,7 +64,7 @@ def setup_form(needs: ProgramNeeds, texts: Mapping[str, str], *, cell: bool, pro
         except InputError as cause:
             skipped_keys.add(question.key)
             fault = str(cause) if text else "an answer is missing"
-        fields.append(Field(question, text, fault, is_guess, is_checked))
+        fields.append(Field(question=question, text=text, fault=fault, is_guess=is_guess, is_checked=is_checked))
     return SetupForm(tuple(fields))
 
 
@@ -73,7 +74,9 @@ def start_arguments(program: Path, form: SetupForm) -> list[str]:
     for field in form.fields:
         if not field.is_checked:
             continue
-        flag, (_, _, suffix) = field.question.option.split()[0], field.question.key.partition(".")
+        flag = field.question.option.split()[0]
+        number_or_code = field.question.key.partition(".")[2]  # "3" of "cutter.3"; empty without one
+        is_numbered = number_or_code not in ("", DEFAULT)
         if field.text:
-            arguments += [f"{flag}={suffix}={field.text}" if suffix not in ("", DEFAULT) else f"{flag}={field.text}"]
+            arguments.append(f"{flag}={number_or_code}={field.text}" if is_numbered else f"{flag}={field.text}")
     return arguments

@@ -99,7 +99,10 @@ class _Setup:
 
 
 def _cut(job: Job, setup: _Setup) -> _Cut | None:
-    """Return what a program cuts; None if it cannot be read or swept, or is not compared."""
+    """Return the material that a program cuts from the uncut stock; None if it is not compared.
+
+    It is not if it cannot be read or its tool cannot be swept through the stock.
+    """
     if job.process is None:
         return None
     try:
@@ -117,7 +120,9 @@ def _cut_of_files(
     times: tuple[int, int],
     setup: _Setup,
 ) -> _Cut | None:
-    """Return what a program cuts; None if it is not compared.
+    """Return the material that a program cuts from the uncut stock; None if it is not compared.
+
+    Forces that operations state need no sweep, and a map of heights shows no cuts of a tool that leans from Z.
 
     :param times: times of the last changes of both files: a changed file is read again.
     :raises PostprocError: the program or its process is unusable.
@@ -133,14 +138,16 @@ def _cut_of_files(
         return None
     diameter = min(tool.diameter_mm for tool in process.tools.values()) * M_PER_MM
     width = max(diameter / _CELLS_ACROSS_TOOL, process.stock.cell, _LEAST_CELL)
-    material, _ = stock_map(process, np.eye(4), width, None)
+    in_base = np.eye(4)  # the map is in `$BASE` of the stock
+    material, _ = stock_map(process, in_base, width, None)
     uncut = material.high.copy()
     tools = tool_states(program, process)
-    segments = straight_segments(program, path, tools, np.eye(4), material.cell, directions=directions)
+    segments = straight_segments(program, path, tools, in_base, material.cell, directions=directions)
     segments = segments.take(np.flatnonzero(segments.cutting & ~segments.leans))
     tool = tools.tool[segments.motion]
-    begins = [*np.flatnonzero(np.diff(tool, prepend=-1)).tolist(), len(tool)]
-    for first, end in pairwise(begins):
+    # segments from one tool change to the next
+    tool_changes = [*np.flatnonzero(np.diff(tool, prepend=-1)).tolist(), len(tool)]
+    for first, end in pairwise(tool_changes):
         cutter = process.cutter(tools.keys[tool[first]])
         for begin in range(first, end, _BATCH):
             rows = slice(begin, min(begin + _BATCH, end))

@@ -49,24 +49,27 @@ def read_with_start(
 ) -> tuple[Program, Cell]:
     """Read a program as `read_program` does; a cell without [start] gets a start that is chosen for the program.
 
+    The start is the joints before the first move; it decides on which branch (posture) the arm moves.
+
     :returns: the program, with a note on a chosen start, and the cell with its start.
     :raises ProgramError: the program is not understood, or its motions depend on where it starts.
     """
     if cell.start is not None:
         return read_program(path, robot, cell, dialect, name), cell
     provisional_cell = replace(cell, start=_PROVISIONAL_START)
-    first = read_program(path, robot, provisional_cell, dialect, name)
+    provisional_program = read_program(path, robot, provisional_cell, dialect, name)
     try:
-        start = _start_in_turn(first, robot, cell, chosen_start(first, RobotInCell.of(robot, provisional_cell)))
+        first_start = chosen_start(provisional_program, RobotInCell.of(robot, provisional_cell))
+        start = _start_in_turn(provisional_program, robot, cell, first_start)
     except ProgramError as cause:
         raise cause.with_file(Path(path).name, str(path)) from cause
     cell = replace(cell, start=Start(start.joints))
     program = read_program(path, robot, cell, dialect, name)
-    first_motions, motions = first.motions, program.motions
+    provisional_motions, motions = provisional_program.motions, program.motions
     is_same = (
-        len(first_motions) == len(motions)
-        and _are_equal(first_motions.target[:], motions.target[:])
-        and _are_equal(first_motions.joints[:], motions.joints[:])
+        len(provisional_motions) == len(motions)
+        and _are_equal(provisional_motions.target[:], motions.target[:])
+        and _are_equal(provisional_motions.joints[:], motions.joints[:])
     )
     # at the provisional start the program does not state where its first move goes
     if not is_same or start.joints == _PROVISIONAL_START.joints:

@@ -304,7 +304,9 @@ def _cutting(request: TestPartRequest, key: str, tool: ToolTable, box: Box) -> C
     rpm = tool.rpm or float(np.floor(usual_rpm / 100.0) * 100.0)  # whole hundreds
     feed = request.feed_mm_per_min or _CHIP_SHARE * tool.diameter_mm * tool.flutes * rpm
     number = int(key) if key.isdecimal() else 1  # a process with a tool for all numbers: T1
-    return Cutting(tool.diameter_mm * M_PER_MM, rpm, feed * M_PER_MM / 60.0, number, box.Z[1] * M_PER_MM)
+    return Cutting(
+        diameter=tool.diameter_mm * M_PER_MM, rpm=rpm, feed=feed * M_PER_MM / 60.0, tool=number, top=box.Z[1] * M_PER_MM
+    )
 
 
 def _programs(
@@ -325,9 +327,9 @@ def _programs(
             choice.weight_places,
             touches=choice.touches if part_features else None,
             first=features.FirstNumbers(
-                1 + feature_count,
-                1 + len(choice.weight_places) * number,
-                1 + len(choice.touches) * number,
+                feature=1 + feature_count,
+                weight=1 + len(choice.weight_places) * number,
+                touch=1 + len(choice.touches) * number,
             ),
             placement_title=placement.title if len(placements) > 1 else "",
         )
@@ -389,14 +391,14 @@ def _test_states(
             replace(states_of_program, is_law_force=states_of_program.is_law_force & _computes_with_law(source, law))
         )
     poses = milling.join(by_program)
-    rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))  # evenly
+    rows = np.arange(0, len(poses), max(1, len(poses) // _MOST_TESTS))  # every n-th pose
     tool = np.broadcast_to(robot_in_cell.cell.tool.pose(), (len(rows), 4, 4))
     pose = kinematics.tcp(robot_in_cell.robot.nominal, poses.q[rows], tool)[0]
     weight = poses.weight[rows] / poses.weight[rows].sum()
     states = states_at_nominal_height(poses.q[rows], tool, pose, poses.wrench[rows])
     is_scaled = poses.is_law_force[rows]
     suffix = "" if is_scaled.all() else ", without the error of forces that are not of this process"
-    return Tests(states, weight, is_scaled, poses.source + suffix)
+    return Tests(states=states, weight=weight, is_scaled=is_scaled, source=poses.source + suffix)
 
 
 def _computes_with_law(source: ForceSource | None, law: CuttingLaw) -> bool:

@@ -80,6 +80,17 @@ Signature = tuple[FileStamp, ...]
 """Names, sizes and times of the files of a program: while they are equal, the files have not changed."""
 
 
+class _InputState(NamedTuple):
+    """Files of a program before its conversion.
+
+    :param signature: names, sizes and times of the files.
+    :param digest: SHA-256 of their contents; None: a file could not be opened.
+    """
+
+    signature: Signature
+    digest: str | None
+
+
 class Entry(msgspec.Struct, frozen=True):
     """A program that has been converted, or could not be converted.
 
@@ -308,7 +319,7 @@ class _Watcher:
         return self._read_setup()
 
     def _read_setup(self) -> bool:
-        """Compute `setup` from the present files; return whether all of them could be read.
+        """Compute the checksum `setup` of the files that all programs share; return whether all could be read.
 
         If `setup` has changed, all programs are converted again.
         """
@@ -346,27 +357,31 @@ class _Watcher:
     def convert(self, ready: Sequence[Path]) -> Iterator[tuple[Outcome, Job]]:
         """Convert programs; yield each outcome, and record it as soon as its files are written.
 
-        If an error concerns the whole run, the programs are converted one by one. At the end the overview is written.
+        If an error concerns the whole run, the programs are converted one by one, so that only those fail that cause
+        it. At the end the overview is written.
         """
-        states = {path: (self.last_changes[path][0], self._program_digest(path)) for path in ready}
+        states: dict[Path, _InputState] = {}
+        for path in ready:
+            signature, _ = self.last_changes[path]
+            states[path] = _InputState(signature, self._program_digest(path))
         jobs: list[Job] = []
         try:
             jobs = self._jobs(ready)
             yield from self._convert_jobs(jobs, states)
         except PostprocError as cause:
-            if len(ready) == 1:
+            if len(ready) == 1:  # the error is that of this program
                 remark = leftover_note(jobs or self._jobs_without_forces(ready[0]), self.settings.mode)
                 failure = Outcome(str(ready[0]), FAILED, message=str(cause), earlier_remark=remark)
-                self._record(ready[0], failure, *states[ready[0]])
+                self._record(ready[0], failure, states[ready[0]])
                 self._write_overview()
                 yield failure, Job(ready[0], "", self.output)
                 return
             for path in ready:
-                if self.finished.get(path) != states[path][0]:
+                if self.finished.get(path) != states[path].signature:
                     yield from self.convert([path])
         for path in ready:  # programs without an outcome were converted with their callers
-            if self.finished.get(path) != states[path][0]:
-                self._record(path, Outcome(str(path), GOOD), *states[path])
+            if self.finished.get(path) != states[path].signature:
+                self._record(path, Outcome(str(path), GOOD), states[path])
         self._write_overview()
 
     def _write_overview(self) -> None:
@@ -378,7 +393,7 @@ class _Watcher:
             self._report_new(f"{self.output / OVERVIEW} was not written by postproc: there is no overview.")
             return
         failures = [
-            index.Entry(name, "", None, entry.reason)
+            index.Entry(name, page="", content=None, message=entry.reason)
             for name, entry in self.entries.items()
             if entry.reason and (self.folder / name).is_file()
         ]
@@ -387,18 +402,16 @@ class _Watcher:
         except InputError as cause:
             self._report_new(str(cause))
 
-    def _convert_jobs(
-        self, jobs: Sequence[Job], states: Mapping[Path, tuple[Signature, str | None]]
-    ) -> Iterator[tuple[Outcome, Job]]:
+    def _convert_jobs(self, jobs: Sequence[Job], states: Mapping[Path, _InputState]) -> Iterator[tuple[Outcome, Job]]:
         """Convert jobs; yield each outcome, and record it with the state of its inputs before the conversion.
 
-        :param states: program → its signature and SHA-256 before the conversion; other programs are not recorded.
+        :param states: program → its files before the conversion; other programs are not recorded.
         """
         by_name = {str(job.program): job for job in jobs}
         for outcome in convert_all(jobs, self.settings, workers=self.workers, waiting=self.say):
             job = by_name[outcome.program]
             if job.program in states:
-                self._record(job.program, outcome, *states[job.program])
+                self._record(job.program, outcome, states[job.program])
             yield outcome, job
 
     def _jobs(self, ready: Sequence[Path]) -> list[Job]:
@@ -532,8 +545,9 @@ class _Watcher:
     def _is_written(self, path: Path) -> bool:
         """Return whether the output folder has the program as the present inputs and options make it.
 
-        The line of origin in the written program shows that. With the mesh of a part False is returned, because the
-        line of origin does not depend on it. False also if a file is missing or cannot be read.
+        The line of origin shows that, a comment in the written program with the checksums of its inputs. With the mesh
+        of a part False is returned, because the line of origin does not depend on it. False also if a file is missing
+        or cannot be read.
         """
         if self.settings.part is not None:
             return False
@@ -558,17 +572,16 @@ class _Watcher:
         origin = origin_of(read_documents(path, job.dialect), self.settings.cell, cell, job.forces, "corrected")
         return {"source": origin.source, "cell": origin.cell, "model": origin.model, "forces": origin.forces}
 
-    def _record(self, path: Path, outcome: Outcome, signature: Signature, digest: str | None) -> None:
+    def _record(self, path: Path, outcome: Outcome, state: _InputState) -> None:
         """Record in the state file that a program has been converted, or could not be converted.
 
-        :param signature: signature of the program before the conversion.
-        :param digest: SHA-256 of its files before the conversion; None: they could not be read, and no entry is
-            written.
+        :param state: its files before the conversion. If one could not be opened, no entry is written, so that the
+            program is converted again after a restart.
         """
-        self.finished[path] = signature
-        if digest is not None:
+        self.finished[path] = state.signature
+        if state.digest is not None:
             fault = failure_reason(outcome) if outcome.summary is None and outcome.code == FAILED else ""
-            self.entries[path.name] = Entry(digest, outcome.code, self.setup, fault)
+            self.entries[path.name] = Entry(sum=state.digest, code=outcome.code, setup=self.setup, reason=fault)
             files.write_whole(self.output, {STATE: msgspec.json.encode(self.entries)})
 
     def _read_entries(self) -> dict[str, Entry]:

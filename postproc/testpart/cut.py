@@ -279,7 +279,13 @@ def states_at_nominal_height(
     """
     no_wrench = np.zeros((len(q), 6))
     return States(
-        q, tool, pose, wrench, no_wrench if weight_wrench is None else weight_wrench, np.zeros(len(q)), no_wrench
+        q=q,
+        tool=tool,
+        pose=pose,
+        wrench=wrench,
+        weight_wrench=no_wrench if weight_wrench is None else weight_wrench,
+        lift=np.zeros(len(q)),
+        by_lift=no_wrench,
     )
 
 

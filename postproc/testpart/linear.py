@@ -69,7 +69,7 @@ def linearise(
     # a gauge reads the displacement by the weight, which the scale of the cutting forces does not change
     displacement = np.where(readings.probed.is_gauge, np.abs(value), deflection)
     value_without_lift = value - by_lift * states.lift
-    return LinearPrediction(value_without_lift, slopes, by_lift, displacement)
+    return LinearPrediction(value=value_without_lift, slopes=slopes, by_lift=by_lift, displacement=displacement)
 
 
 def noise_covariance(readings: Readings, linear_model: LinearPrediction, gamma: float) -> Array:

@@ -112,7 +112,14 @@ def top_plane(touch_off: TouchOff, base: int, sigma: float, file: str) -> Top:
     surplus = count - _FEWEST_TOUCHES
     misfit = float(np.sqrt(residual @ residual / (surplus * variance))) if surplus else 0.0
     # points that are farther from the plane than their noise allows make it more uncertain
-    return Top(base, touches.name, origin, coefficients, max(1.0, misfit**2) * covariance, misfit)
+    return Top(
+        base=base,
+        points=touches.name,
+        origin=origin,
+        coefficients=coefficients,
+        covariance=max(1.0, misfit**2) * covariance,
+        misfit=misfit,
+    )
 
 
 class Lift(Struct, frozen=True, eq=False):
@@ -258,5 +265,7 @@ class Readings(Columns, frozen=True, eq=False):
                     by_top = top.terms(origin[None])[0]
                     lift_covariance[0, 0] += by_top @ top.covariance @ by_top
                     lift_covariance[1:, 1:] += top.covariance[1:, 1:]
-            lifts.append(Lift(base, origin, terms @ shift[columns], lift_covariance))
+            lifts.append(
+                Lift(base=base, origin=origin, coefficients=terms @ shift[columns], covariance=lift_covariance)
+            )
         return tuple(lifts)

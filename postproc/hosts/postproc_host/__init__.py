@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-_SETTING = Path(__file__).with_name("command.json")
-_MEND = (
+_COMMAND_FILE = Path(__file__).with_name("command.json")
+_REMEDY = (
     "Run 'postproc install-post HOST' again with the postproc that is to be used, or name its command in the "
     "environment variable POSTPROC, e.g. C:\\\\tools\\\\postproc\\\\Scripts\\\\postproc.exe or 'wsl postproc'."
 )
@@ -31,10 +31,10 @@ class HostError(Exception):
 
 
 class Block(NamedTuple):
-    """One line of the program that postproc reads.
+    """One line of the program that postproc reads, and where it is from in the host, the CAM program.
 
     :param text: the line, without its end.
-    :param place: its name in the host, e.g. ``operation Pocket, command 12``.
+    :param place: name of its origin in the host, e.g. ``operation Pocket, command 12``.
     """
 
     text: str
@@ -63,16 +63,16 @@ def command() -> tuple[list[str], bool]:
 
     :raises HostError: it is not found; the message says where it was searched.
     """
-    if _SETTING.is_file():
-        words = [str(word) for word in json.loads(_SETTING.read_text(encoding="utf-8"))["command"]]
+    if _COMMAND_FILE.is_file():
+        words = [str(word) for word in json.loads(_COMMAND_FILE.read_text(encoding="utf-8"))["command"]]
     elif os.environ.get("POSTPROC"):
         words = shlex.split(os.environ["POSTPROC"], posix=os.name != "nt")
     else:
         words = ["postproc"]
     program = shutil.which(words[0])
     if program is None:
-        place = f"{words[0]} of {_SETTING}" if _SETTING.is_file() else f"'{words[0]}'"
-        raise HostError(f"postproc is not found: {place} is no program that can be run here. {_MEND}")
+        place = f"{words[0]} of {_COMMAND_FILE}" if _COMMAND_FILE.is_file() else f"'{words[0]}'"
+        raise HostError(f"postproc is not found: {place} is no program that can be run here. {_REMEDY}")
     return [program, *words[1:]], Path(words[0]).stem.lower() == "wsl"
 
 
@@ -109,13 +109,14 @@ def convert(
         raise HostError("\n".join(faults + [text for level, text in issues if level == "error"]))
     verdict = entry["verdict"]
     paths = [_from_linux(path) for path in entry["written"]]
-    if verdict["drive"]["state"] == "failed":
+    if verdict["drive"]["state"] == "failed":  # the robot must not run this program: leave nothing that could be loaded
         for path in paths:
             path.unlink()
         faults = [verdict["headline"], *verdict["drive"]["reasons"]]
         raise HostError("\n".join(_with_host_places(fault, program, blocks) for fault in faults))
     warnings = [text for level, text in issues if level == "warning"]
-    lines = [verdict["headline"], *verdict["answers"], *(verdict["reasons"] if verdict["state"] != "ok" else [])]
+    reasons = verdict["reasons"] if verdict["state"] != "ok" else []
+    lines = [verdict["headline"], *verdict["answers"], *reasons]
     moves = folder / f"{name}.moves.txt"
     moves.write_bytes(text)
     for input_name, content in inputs.items():
@@ -168,12 +169,12 @@ def _summary_of_run(words: Sequence[str]) -> dict[str, Any]:
             check=False,
         )
     except OSError as cause:
-        raise HostError(f"{prefix[0]} cannot be run: {cause}. {_MEND}") from cause
+        raise HostError(f"{prefix[0]} cannot be run: {cause}. {_REMEDY}") from cause
     try:
         content: dict[str, Any] = json.loads(process.stdout.decode("utf-8"))
     except ValueError:
         message = process.stderr.decode("utf-8", "replace").strip() or f"it ended with code {process.returncode}"
-        hint = f" {_MEND}" if "No module named" in message else ""
+        hint = f" {_REMEDY}" if "No module named" in message else ""
         raise HostError(f"{re.sub('^Error: ', '', message)}{hint}") from None
     return content
 
@@ -216,13 +217,13 @@ def _from_linux(path: str) -> Path:
 
 def _issue_text(issue: dict[str, Any], program: Path, blocks: Sequence[Block]) -> str:
     """Return an issue as text, with the host's name of its place."""
-    line: int | None = issue.get("source_line")
+    line: int | None = issue.get("source_line")  # from 1; 0 or None: the issue is about no single line
     place = f"{blocks[line - 1].place}: " if line and line <= len(blocks) else ""
     return f"{place}{_with_host_places(issue['message'], program, blocks)}"
 
 
 def _with_host_places(text: str, program: Path, blocks: Sequence[Block]) -> str:
-    """Return a text with program lines replaced by the host's names of places."""
+    """Return a text with program lines, such as ``part.nc:12:``, replaced by the host's names of their places."""
 
     def place(match: re.Match[str]) -> str:
         """Return the host's name of the place of a line; the text as it is if there is no such line."""
