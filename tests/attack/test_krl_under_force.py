@@ -40,6 +40,10 @@ def test_branches_that_stay_in_some_rounds_of_a_loop_only_are_read_back_as_they_
     assert attack(20409) == "kept, in files"  # its first round is corrected and written out, the others stay a loop
 
 
+def test_branches_that_are_kept_and_end_under_different_forces_are_read_back_as_they_were_read():
+    assert attack(995) == "kept"  # the written comment before the branches has other axes, in which the forces compare
+
+
 def test_choices_go_through_all_that_inputs_may_be():
     def run(choices):
         return (choices(), choices() and choices())

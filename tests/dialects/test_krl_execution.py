@@ -669,6 +669,15 @@ def test_a_motion_under_a_force_that_is_not_known_is_refused(lines, subs, cell, 
     assert caught.value.line == line
 
 
+def test_branches_that_end_under_different_forces_stay_as_they_are_if_they_may():
+    lines = [ONE, "IF $IN[1] THEN", TWO, FULL, "ELSE", FULL, "ENDIF", ONE, FULL]
+    with pytest.raises(ProgramError, match="they would not meet"):
+        read(body(FULL, *lines), COUNTERS_DAT)
+    program = read(body(FULL, *lines), COUNTERS_DAT, KEEPING)
+    assert [issue.source_line for issue in program.issues if issue.kind == "unresolved"] == [8, 10]
+    assert program.motions.line.tolist() == [4, 13]
+
+
 @pytest.mark.parametrize(
     ("lines", "word"),
     [

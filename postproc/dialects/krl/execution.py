@@ -6,7 +6,7 @@ These lines are the rows of the trace (`Trace`), from 1. Reading and correction 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -211,6 +211,15 @@ class InlinedRoutine(Struct, eq=False):
     body: Body
 
 
+class BranchError(ProgramError):
+    """Branches cannot be corrected.
+
+    :ivar fork_visits: the forks whose branches cannot be corrected; in a loop, each iteration visits a fork anew.
+    """
+
+    fork_visits: frozenset[ForkVisit]
+
+
 class Execution(Struct, frozen=True, eq=False):
     """The order in which the lines of a program run, with loops unrolled and called routines inlined.
 
@@ -255,6 +264,18 @@ class Execution(Struct, frozen=True, eq=False):
     def endless_loop_error(self, problem: str, advice: str) -> ProgramError:
         """Return the error that the LOOP without EXIT cannot be corrected, at its line."""
         return self.main.source.line_error(f"LOOP never ends, and {problem}", self.endless_loop_line, advice)
+
+    def branch_error(self, problem: str, row: int, fork_rows: Collection[int], advice: str) -> BranchError:
+        """Return the error that the branches of some forks cannot be corrected.
+
+        :param row: row of the trace that the error names; `fork_rows`: the rows of these forks.
+        """
+        base = self.trace.error(problem, row, advice)
+        error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
+        error.fork_visits = frozenset(
+            step.visit for step in self.steps if isinstance(step, Fork) and step.row in fork_rows
+        )
+        return error
 
     def counter_value(self, loop: UnrolledLoop, row: int) -> int:
         """Return the value that a row of the trace (a line in execution order) assigns to the counter of a FOR.

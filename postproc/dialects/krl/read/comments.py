@@ -182,8 +182,8 @@ class _ActiveForce:
 
         :raises ProgramError: the force on a motion is not known, or branches end under different forces.
         """
-        # per open fork: the forces at it, and those at the ends of its branches
-        open_forks: list[tuple[_ForcePair, list[_ForcePair]]] = []
+        # per open fork: its row, the forces at it, and those at the ends of its branches
+        open_forks: list[tuple[int, _ForcePair, list[_ForcePair]]] = []
         for line, _, event in events:
             # a comment acts on the motion of its own line, other events on the motions after it
             self._pass_motions(line - 1 if isinstance(event, ForceNote) else line)
@@ -193,29 +193,30 @@ class _ActiveForce:
             elif isinstance(event, str):
                 self.active_force = event
             elif isinstance(event, Fork):
-                open_forks.append((_ForcePair(self.active_force, self.motion_force), []))
+                open_forks.append((line, _ForcePair(self.active_force, self.motion_force), []))
             elif isinstance(event, Branch):
-                entry, ends = open_forks[-1]
+                _, entry, ends = open_forks[-1]
                 ends.append(_ForcePair(self.active_force, self.motion_force))
                 self.motion_force = entry.motion_force
                 self._set_force(line, entry.active_force)
             elif isinstance(event, Join):
-                entry, ends = open_forks.pop()
+                fork_row, entry, ends = open_forks.pop()
                 # the first of `ends` was noted where the first branch begins, before any branch ended
                 end_forces = [*ends[1:], _ForcePair(self.active_force, self.motion_force)]
                 if not event.is_exhaustive:
                     end_forces.append(entry)
-                self._pass_join(line, end_forces, is_unchecked=event in self.unchecked_joins)
+                self._pass_join(line, fork_row, end_forces, is_unchecked=event in self.unchecked_joins)
         self._pass_motions(len(self.execution.trace))
 
-    def _pass_join(self, line: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
+    def _pass_join(self, line: int, fork_row: int, ends: Sequence[_ForcePair], *, is_unchecked: bool) -> None:
         """Set the force that acts after a join; if it differs between the branches, it is not known.
 
         A force common to all branches is not stated again if a motion is on the line of the join.
 
+        :param line: row of the trace with the join; `fork_row`: that of the fork of its branches.
         :param ends: for each branch, the acting force at its end and the force on its last motion.
         :param is_unchecked: True if branches may end in different poses.
-        :raises ProgramError: the last motions are under different forces: corrected, they would end in different poses.
+        :raises BranchError: the last motions are under different forces: corrected, they would end in different poses.
         """
         forces = [_wrench_and_frame(end.active_force) for end in ends]
         motion_forces = [_wrench_and_frame(end.motion_force) for end in ends]
@@ -223,7 +224,7 @@ class _ActiveForce:
             _certainly_differ(force, motion_forces[0]) or _turns_with_path(*force) for force in motion_forces
         ):
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
-            raise self.execution.trace.error(problem, line, _JOIN_ADVICE)
+            raise self.execution.branch_error(problem, line, {fork_row}, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
         row = int(np.searchsorted(self.motions, line))
         if is_common and row < len(self.motions) and self.motions[row] == line:

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from postproc.dialects.krl.execution import Branch, Execution, Fork, ForkVisit, Join, UnrolledLoop
+from postproc.dialects.krl.execution import Branch, Execution, Fork, Join, UnrolledLoop
 from postproc.dialects.krl.layout import CONSTANT, Layout
 from postproc.dialects.krl.read.motions import OrderedMotions, settings_at
 from postproc.dialects.krl.read.settings import Settings
 from postproc.dialects.krl.read.unresolved import depends_on_start
-from postproc.errors import Issue, ProgramError
+from postproc.errors import Issue
 from postproc.frames import MM_PER_M, Array, inverse
 from postproc.program import PTP, SPL, Carriage, FrameColumns, Ints, Motions, Starts, distinct
 
@@ -39,15 +39,6 @@ _START_ADVICE = (
 )
 _LOOP_ADVICE = "Begin and end each round of the LOOP in one pose, for example with a PTP to all of A1 … A6."
 _SETTING_ADVICE = "Set before the LOOP what its rounds set."
-
-
-class BranchError(ProgramError):
-    """Branches cannot be corrected.
-
-    :ivar fork_visits: the forks whose branches cannot be corrected; in a loop, each iteration visits a fork anew.
-    """
-
-    fork_visits: frozenset[ForkVisit]
 
 
 class _Fault(NamedTuple):
@@ -518,13 +509,8 @@ def _refuse_branches(execution: Execution, faults: Sequence[_Fault]) -> None:
     if not faults:
         return
     fork, problem, advice = faults[0]
-    base = execution.trace.error(f"motion in branches whose condition is not known: {problem}", fork, advice)
-    error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     fork_rows = {fault.fork for fault in faults}
-    error.fork_visits = frozenset(
-        step.visit for step in execution.steps if isinstance(step, Fork) and step.row in fork_rows
-    )
-    raise error
+    raise execution.branch_error(f"motion in branches whose condition is not known: {problem}", fork, fork_rows, advice)
 
 
 def _start_dependence(sequence: OrderedMotions, motion: int) -> str:

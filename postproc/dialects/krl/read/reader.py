@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from postproc import garbage
 from postproc.cell import Cell
-from postproc.dialects.krl.execution import Execution, ForkVisit, Join
+from postproc.dialects.krl.execution import BranchError, Execution, ForkVisit, Join
 from postproc.dialects.krl.language.positions import LARGEST_COORDINATE
 from postproc.dialects.krl.language.routines import Module, Routine, routines
 from postproc.dialects.krl.language.source import DAT, OTHER_FILE, SRC, Source
@@ -34,7 +34,6 @@ from postproc.dialects.krl.read.issues import (
     unfollowed_calls,
 )
 from postproc.dialects.krl.read.joins import (
-    BranchError,
     FramesAndStart,
     JoinedEnds,
     branch_spans,
