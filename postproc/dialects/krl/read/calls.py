@@ -19,7 +19,7 @@ from postproc.dialects.krl.language.source import Place
 from postproc.dialects.krl.language.values import Aggregate, Call, OpaqueText, Reference, Value, writable_variable
 from postproc.dialects.krl.read.effects import Effects
 from postproc.dialects.krl.read.explanations import why_unknown
-from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, inexact_error
+from postproc.dialects.krl.read.known import NO_VALUE, Scope, UnknownValue, VariableValue, unknown_order_error
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Level, Run, UntracedCall
 from postproc.dialects.krl.read.state import FIELD_OF_SETTING, MOTION_SETTINGS, STORED_VARIABLES, fields_of
 from postproc.dialects.krl.read.variables import INT_OR_REAL, convert_to_type
@@ -319,7 +319,7 @@ class Calls:
     def enter_routine(self, place: Place, call: Call, module: Module, routine: Routine) -> None:
         """Make a called routine of the execution trace the running routine, until `leave_routine`.
 
-        :raises InexactError: the call cannot be followed exactly.
+        :raises UnknownOrderError: the call cannot be followed exactly.
         :raises ProgramError: see `note_lasting_effects`.
         """
         effects = self.run.analysis.effects_of(module, routine)
@@ -328,7 +328,7 @@ class Calls:
             self.run.called_routines.add(routine)
         if obstacle := self._obstacle(place, call, module, routine, effects):
             problem = f"{call.name} is called, which moves the robot, in a way that cannot be followed: {obstacle}"
-            raise inexact_error(place, problem, _INLINE_ADVICE, routine)
+            raise unknown_order_error(place, problem, _INLINE_ADVICE, routine)
         self.entered_calls.append(self._bound_call(place, call, module, routine, is_traced=True))
         self._begin_routine(self.entered_calls[-1], is_traced=True)
 

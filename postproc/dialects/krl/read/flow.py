@@ -1,5 +1,10 @@
 """Loops, branches and calls in execution order.
 
+The execution trace, which is recorded here: the lines of the program in the order in which they are executed, as rows.
+A loop around motions is unrolled in it: the lines of each iteration (round) follow each other. A
+called routine with motions is inlined. A fork is an IF or SWITCH whose branch taken is not known before run time: all
+its branches are in the trace.
+
 A control structure is followed statement by statement if its conditions are known. If they are not known and it holds
 no motions, every variable that it may write becomes unknown; if it holds motions, the program is refused.
 """
@@ -23,7 +28,7 @@ from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_b
 from postproc.dialects.krl.read.conditions import constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump_message
-from postproc.dialects.krl.read.known import InexactError, VariableValue, inexact_error, shown_name
+from postproc.dialects.krl.read.known import UnknownOrderError, VariableValue, shown_name, unknown_order_error
 from postproc.dialects.krl.read.least_statements import ENDS_LOOPS, LeastStatements
 from postproc.dialects.krl.read.motion_reader import keeps_position
 from postproc.dialects.krl.read.plain_rounds import plain_body
@@ -46,6 +51,8 @@ _MOST_FORKS = 4000
 """Most forks followed whose branch taken is not known before run time."""
 _MOST_NAMES = 8
 """Most names of variables in a message."""
+_NO_ITERATION = 0
+"""Number of the iteration in `Flow._enclosing` for a call, and for a loop before its first iteration."""
 _LENGTH_ADVICE = "Divide the program, or give its loops fewer rounds and its subprograms fewer calls."
 _JUMP_IN_LOOP_ADVICE = "Write IF around the statements that it skips."
 _LABEL_ADVICE = "Write LOOP, WHILE or IF in place of its GOTO, and remove the label."
@@ -74,8 +81,8 @@ class Flow:
         self._moving_blocks: dict[tuple[Block, Module], bool] = {}  # results of `_block_moves`
         self._plain_bodies: dict[Block, PlainBody | None] = {}  # body of a FOR; None if it is not plain
         self._case_tables: dict[Block, dict[float | None, int] | None] = {}  # of a SWITCH, see `constant_cases`
-        self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration; 0: a call
-        self._traced_count = self._fork_count = 0  # statements of the trace, and forks, that have run
+        self._enclosing: list[tuple[Place, int]] = []  # enclosing loops and calls, each with its iteration
+        self._traced_count = self._fork_count = 0  # statements of the trace, and forks, that have been followed
         self._motionless_depth = 0  # number of nested control structures without motion that are followed
         self._least_statements = LeastStatements(run)
 
@@ -85,7 +92,7 @@ class Flow:
         :param source: the file.
         :param nodes: statements, given by their lines (from 1), and control structures, in order.
         :param ends_routine: True if the routine ends after the nodes.
-        :raises InexactError: the branch taken is not known before run time.
+        :raises UnknownOrderError: the branch taken is not known before run time.
         """
         level, index = self.run.level, 0
         while index < len(nodes):
@@ -127,15 +134,15 @@ class Flow:
 
         :param index: index of the node with the GOTO; labels before it are not searched.
         :returns: the number of nodes if no later node is the label, or no trace is recorded; `jump_line` then stays.
-        :raises InexactError: the GOTO is in a loop around motions.
+        :raises UnknownOrderError: the GOTO is in a loop around motions.
         """
         level, recorder = self.run.level, self.recorder
         label = self.label_of(source, level.jump_line)
         for number in range(index + 1, len(nodes)):
             line = nodes[number]
             if isinstance(line, int) and recorder is not None and label in self.labels(source, [line]):
-                if level.loop_depth:  # the rounds may be written one after the other: the label more than once
-                    raise inexact_error(
+                if level.loop_depth:  # corrected rounds may be written one after the other: the label more than once
+                    raise unknown_order_error(
                         Place(source, level.jump_line), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
                 level.jump_line = 0
@@ -168,17 +175,16 @@ class Flow:
 
         The result is stored for each module that calls routines.
         """
-        module = self.run.level.module
-        key = node, module
-        if key not in self._moving_blocks:
+        block_and_module = node, self.run.level.module
+        if block_and_module not in self._moving_blocks:
             is_in_routine = source is self.run.level.routine.source
             # indices of the plain motions of the routine, which ascend, from the first to the last line
             begin, end = np.searchsorted(self.run.level.routine.motion_lines, [node.first, node.last])
             has_plain_motion = is_in_routine and bool(begin < end)
-            self._moving_blocks[key] = has_plain_motion or any(
+            self._moving_blocks[block_and_module] = has_plain_motion or any(
                 self._statement_moves(source, line) for line in node.lines()
             )
-        return self._moving_blocks[key]
+        return self._moving_blocks[block_and_module]
 
     def _statement_moves(self, source: Source, line: int) -> bool:
         """Return whether a statement belongs in the trace: a motion, a call of a routine of the trace, or a GOTO.
@@ -201,13 +207,13 @@ class Flow:
         """Set the counter of a FOR to a number, its value in a round of a recorded trace; note an error of the FOR.
 
         :param place: file and line of the FOR.
-        :raises InexactError: too many statements have run.
+        :raises UnknownOrderError: too many statements have run.
         """
         self._count_statement(place)
         try:
             value = Number(float(number), counter.start, counter.stop, is_integer=True)
             self.interpreter.assign(place, counter, value)
-        except InexactError:
+        except UnknownOrderError:
             raise
         except ProgramError as cause:
             self._note_fault(place, cause)
@@ -223,8 +229,10 @@ class Flow:
         if level.is_traced:
             self._go_to_line(place.line)
         self._count_statement(place)
-        # in a recorded trace the rounds of loops are rows, and `loop_depth` is 0: an EXIT there ends a round
-        if word == "EXIT" and (level.loop_depth or (level.is_traced and self.recorder is None)):
+        # where a recorded trace is followed, the rounds of its loops are rows: an EXIT there ends a round
+        follows_recorded_trace = level.is_traced and self.recorder is None
+        is_in_followed_loop = bool(level.loop_depth) or follows_recorded_trace
+        if word == "EXIT" and is_in_followed_loop:
             level.is_left = True
             return
         if word == "GOTO" and self.recorder is not None and level.is_traced:
@@ -243,15 +251,15 @@ class Flow:
         run.row = line + run.shift
 
     def _follow_noting_errors(self, place: Place, stmt: tree.Statement) -> None:
-        """Follow a statement; in a traced routine its error is noted, and later statements are followed too.
+        """Follow a statement; in a routine of the trace its error is noted, so that later errors are reported too.
 
         :param place: file and line of the statement.
-        :raises InexactError: the branch taken is not known before run time.
+        :raises UnknownOrderError: the branch taken is not known before run time.
         :raises ProgramError: the statement has an error, and its routine is not traced.
         """
         try:
             self.interpreter.follow_statement(place, stmt)
-        except InexactError:
+        except UnknownOrderError:
             raise
         except ProgramError as cause:
             if not self.run.level.is_traced:
@@ -262,37 +270,37 @@ class Flow:
         """Count a statement that runs: in `_traced_count` in code with motions, else in `run.statement_count`.
 
         :param place: file and line of the statement, for the message.
-        :raises InexactError: more statements have run than are followed.
+        :raises UnknownOrderError: more statements have run than are followed.
         """
         if self._motionless_depth or not self.run.level.is_traced:
             self.run.statement_count += 1
             if self.run.statement_count > MOST_STATEMENTS:
-                raise inexact_error(place, "too much runs before")
+                raise unknown_order_error(place, "too much runs before")
             return
         self._traced_count += 1
         # the limit is above `MOST_TRACED`: a fast first test
         if self._traced_count > MOST_TRACED and self._traced_count > (limit := self._statement_limit(place.source)):
             problem = f"loops around motions are too long: {limit} statements have run when the program comes here"
-            raise inexact_error(place, problem, _LENGTH_ADVICE)
+            raise unknown_order_error(place, problem, _LENGTH_ADVICE)
 
     def _statement_limit(self, source: Source) -> int:
         """Return the largest number of statements of the trace: the lines of the file or of the trace, and a margin."""
         return MOST_TRACED + (len(source.starts) if self.recorder is not None else len(self.run.trace))
 
     def _check_statement_count(self, place: Place, minimum: int) -> None:
-        """Refuse code that runs too many statements, before it is followed.
+        """Refuse code that runs too many statements, before it is followed: to follow it would take too long.
 
         :param place: the loop or the call that runs the code.
         :param minimum: lower bound on the number of statements that the code runs.
-        :raises InexactError: they and the statements that have run exceed the limit.
+        :raises UnknownOrderError: they and the statements that have run exceed the limit.
         """
         if self._motionless_depth or not self.run.level.is_traced:
             if self.run.statement_count + minimum > MOST_STATEMENTS:
-                raise inexact_error(place, "too much runs before")
+                raise unknown_order_error(place, "too much runs before")
         elif self._traced_count + minimum > self._statement_limit(place.source):
             problem = f"loops and calls around motions are too long: at least {minimum} statements run from here on, "
             problem += f"{self._statement_limit(place.source)} are followed"
-            raise inexact_error(place, problem, _LENGTH_ADVICE)
+            raise unknown_order_error(place, problem, _LENGTH_ADVICE)
 
     def _inline_call(self, place: Place, call: Call) -> bool:
         """Follow the call of a routine with motions or force comments, as part of the execution trace.
@@ -301,8 +309,8 @@ class Flow:
         :returns: False if the call is not part of the trace: no trace is recorded, the routine has neither motions nor
             force comments, the call may not run, an argument moves the robot, or a routine of the program itself cannot
             be followed and is left uncorrected (`--keep-unresolved`).
-        :raises InexactError: the order of the statements of the routine is not known before run time, and the routine
-            is not left uncorrected.
+        :raises UnknownOrderError: the order of the statements of the routine is not known before run time, and the
+            routine is not left uncorrected.
         :raises ProgramError: the call has an effect that cannot be followed.
         """
         run, recorder = self.run, self.recorder
@@ -317,7 +325,7 @@ class Flow:
         undo = self._undo_function(recorder)
         try:
             self._record_call(place, call, recorder, *callee)
-        except InexactError:
+        except UnknownOrderError:
             if not run.keeps_unresolved or routine.source is not run.routine.source:
                 raise
             undo()
@@ -331,13 +339,13 @@ class Flow:
     def _check_structure(self, routine: Routine) -> None:
         """Refuse a routine with a control structure that is not closed properly: no controller loads it.
 
-        :raises InexactError: there is one.
+        :raises UnknownOrderError: there is one.
         """
         try:
             self.run.nodes(routine)
         except ProgramError as cause:
             place = Place(routine.source, cause.line or routine.first)
-            raise inexact_error(place, cause.problem, cause.advice, routine) from None
+            raise unknown_order_error(place, cause.problem, cause.advice, routine) from None
 
     def _call_moves(self, call: Call) -> bool:
         """Return whether the routine of a call, or a routine that this calls, moves the robot."""
@@ -367,14 +375,14 @@ class Flow:
 
         :param place: file and line of the call.
         :param module: the module of the called routine.
-        :raises InexactError: the call cannot be followed exactly.
+        :raises UnknownOrderError: the call cannot be followed exactly.
         """
         run = self.run
         recorder.record_run_lines(place.line - 1)
         recorder.enter_routine(place, (call.start, call.start + len(call.name)), module, routine)
         self.interpreter.calls.enter_routine(place, call, module, routine)
         level = run.level
-        self._enclosing.append((place, 0))  # 0: no loop
+        self._enclosing.append((place, _NO_ITERATION))
         self.run_called_routine()
         self._enclosing.pop()
         if not level.return_line:  # it has run to its END
@@ -391,7 +399,7 @@ class Flow:
         With motions or force comments: exactly, as part of the trace. Without: exactly if that is possible; else all
         variables that it may write become unknown.
 
-        :raises InexactError: it has motions or force comments, and cannot be followed exactly.
+        :raises UnknownOrderError: it has motions or force comments, and cannot be followed exactly.
         """
         if self.recorder is not None and self.run.level.is_traced and self.belongs_in_trace(source, block):
             self._follow_and_record(source, block, self.recorder)
@@ -401,7 +409,7 @@ class Flow:
         self._motionless_depth += 1
         try:
             self._follow_exactly(source, block, recorder=None)
-        except InexactError:
+        except UnknownOrderError:
             self.run.drop_findings(counts)
             del open_structures[open_count:]  # an EXIT in an IF ends the round before ENDIF closes it
             self.follow_roughly(source, block)
@@ -413,25 +421,25 @@ class Flow:
 
         Under `--keep-unresolved` it is left uncorrected if the branch taken is not known before run time.
 
-        :raises InexactError: without that option, if the branch taken is not known. If the structure has force comments
-            and no motions, the error is about these.
+        :raises UnknownOrderError: without that option, if the branch taken is not known. If the structure has force
+            comments and no motions, the error is about these.
         """
         run = self.run
         if not run.keeps_unresolved:
             try:
                 self._follow_exactly(source, block, recorder)
-            except InexactError:
+            except UnknownOrderError:
                 if self._block_moves(source, block):
                     raise
                 problem = (
                     f"a force comment is inside {block.word}, whose condition is not known before the program runs"
                 )
-                raise inexact_error(Place(source, block.first), problem, _FORCE_ADVICE) from None
+                raise unknown_order_error(Place(source, block.first), problem, _FORCE_ADVICE) from None
             return
         undo = self._undo_function(recorder)
         try:
             self._follow_exactly(source, block, recorder)
-        except InexactError as cause:
+        except UnknownOrderError as cause:
             undo()
             recorder.record_run_lines(block.first - 1)
             recorder.record_unresolved(block.last, cause)
@@ -447,7 +455,7 @@ class Flow:
         self._add_to_count(len(lines))
         counts = self.run.finding_counts()
         for _ in range(2 if block.word in LOOPS else 1):
-            self.run.drop_findings(counts)  # of the round before: it finds the same
+            self.run.drop_findings(counts)  # those of the first round, which the second finds again
             for line in lines:
                 if self.run.level.is_traced:
                     self._go_to_line(line)
@@ -459,14 +467,15 @@ class Flow:
         All branches of an IF or SWITCH are followed if it is recorded and the branch taken is not known.
 
         :param recorder: records the structure; None for a structure without motions.
-        :raises InexactError: the branch taken or the number of rounds is not known, and not all branches are followed.
+        :raises UnknownOrderError: the branch taken or the number of rounds is not known, and not all branches are
+            followed.
         """
         if block.word in LOOPS:
             self._follow_loop(source, block, recorder)
             return
         try:
             part_index = self._part_taken(source, block)
-        except InexactError as cause:
+        except UnknownOrderError as cause:
             fork_visit = ForkVisit(Place(source, block.first), tuple(self._enclosing))
             if recorder is None or fork_visit in self.run.obstacles:  # branches that could not be corrected before
                 raise
@@ -485,7 +494,7 @@ class Flow:
         execution. The others do not run.
 
         :param part: the branch; None if no branch is taken.
-        :raises InexactError: a statement of the branch cannot be followed exactly.
+        :raises UnknownOrderError: a statement of the branch cannot be followed exactly.
         """
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
@@ -499,14 +508,14 @@ class Flow:
         recorder.record_passed_lines(block.last)
 
     def _follow_branches(
-        self, source: Source, block: Block, recorder: Recorder, fork_visit: ForkVisit, cause: InexactError
+        self, source: Source, block: Block, recorder: Recorder, fork_visit: ForkVisit, cause: UnknownOrderError
     ) -> None:
-        """Follow all branches of an IF or SWITCH, each with the values at the fork.
+        """Follow all branches of an IF or SWITCH, since the branch taken is not known; each with the values before it.
 
-        :param fork_visit: the visit to the structure.
+        :param fork_visit: file and line of the structure, and the present iteration of each loop around it.
         :param cause: the error that the branch taken is not known.
-        :raises InexactError: a branch is left before its end, a condition calls a function that changes something, or
-            there are too many forks.
+        :raises UnknownOrderError: a branch is left before its end, a condition calls a function that changes something,
+            or there are too many forks.
         """
         run, level = self.run, self.run.level
         heads = [part.head for part in block.parts]
@@ -515,10 +524,10 @@ class Flow:
         self._fork_count += 1
         if self._fork_count > _MOST_FORKS:
             problem = f"branches whose condition is not known are reached more than {_MOST_FORKS} times"
-            raise inexact_error(Place(source, block.first), problem, _LENGTH_ADVICE)
+            raise unknown_order_error(Place(source, block.first), problem, _LENGTH_ADVICE)
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
-        recorder.record_division(Fork(0, fork_visit))  # 0: the row is filled in
+        recorder.record_division(Fork(0, fork_visit))  # 0, also below: the recorder fills in the row
         run.begin_fork()
         branches = block.parts[1:] if block.word == "SWITCH" else block.parts  # part 0 precedes the first CASE
         for part in branches:
@@ -527,7 +536,7 @@ class Flow:
             run.begin_branch()
             self.follow(source, part.nodes)
             if level.jump_line:
-                raise inexact_error(
+                raise unknown_order_error(
                     Place(source, level.jump_line), *undecided_jump_message(run.variables, Place(source, block.first))
                 )
             if level.is_broken_off:  # RETURN or EXIT
@@ -545,7 +554,7 @@ class Flow:
         :param ends_routine: True if the routine ends after the nodes.
         :returns: the index of the node after the skipped code; 0 if nothing was followed: the node is no such IF, its
             condition is known, or the two branches cannot be followed and are left as they are (`--keep-unresolved`).
-        :raises InexactError: without that option, if a condition in one of the branches is not known.
+        :raises UnknownOrderError: without that option, if a condition in one of the branches is not known.
         """
         run, block, recorder = self.run, nodes[index], self.recorder
         if recorder is None or not isinstance(block, Block) or not self._may_follow_both_branches(source, block):
@@ -572,7 +581,7 @@ class Flow:
             recorder.record_run_lines(end)
             recorder.record_division(Join(0, is_exhaustive=True))
             run.join_branches(Place(source, block.last), is_exhaustive=True)
-        except InexactError:
+        except UnknownOrderError:
             if not run.keeps_unresolved:
                 raise
             undo()
@@ -598,7 +607,7 @@ class Flow:
         """
         try:
             self._part_taken(source, block)
-        except InexactError:
+        except UnknownOrderError:
             return False
         return True
 
@@ -608,14 +617,14 @@ class Flow:
         """Follow one of the branches of an IF that skips statements.
 
         :param ends_routine: True if the routine ends after the branch.
-        :raises InexactError: the branch is left before its end.
+        :raises UnknownOrderError: the branch is left before its end.
         """
         level = self.run.level
         recorder.record_division(Branch(0))  # 0: the row is filled in
         self.run.begin_branch()
         self.follow(source, nodes, ends_routine=ends_routine)
         if level.is_broken_off:  # by a GOTO or a RETURN
-            raise inexact_error(
+            raise unknown_order_error(
                 Place(source, level.jump_line or level.return_line), *undecided_jump_message(self.run.variables, None)
             )
 
@@ -656,7 +665,7 @@ class Flow:
 
         IF: part 0 is that of THEN, part 1 that of ELSE. SWITCH: part 0 precedes the first CASE.
 
-        :raises InexactError: the condition, or the value of the SWITCH, is not known before run time, or calls a
+        :raises UnknownOrderError: the condition, or the value of the SWITCH, is not known before run time, or calls a
             function that changes something.
         :raises ProgramError: a CASE cannot be read.
         """
@@ -687,7 +696,7 @@ class Flow:
         Part 0 is the SWITCH itself; each later part begins with CASE or DEFAULT.
 
         :param selector: value of the SWITCH.
-        :raises InexactError: it is not known before run time whether the value equals that of a CASE.
+        :raises UnknownOrderError: it is not known before run time whether the value equals that of a CASE.
         :raises ProgramError: a CASE cannot be read.
         """
         for index, part in enumerate(block.parts[1:], 1):
@@ -716,7 +725,7 @@ class Flow:
         """Follow the rounds of a loop, and record them if the loop contains motions or force comments.
 
         :param recorder: records the trace; None for a loop without them.
-        :raises InexactError: the number of rounds is not known, or too large.
+        :raises UnknownOrderError: the number of rounds is not known, or too large.
         """
         level = self.run.level
         words = {statement(source, line).word for line in block.lines()}  # first words of the statements
@@ -732,7 +741,7 @@ class Flow:
         loop = recorder.begin_loop(block, name, step, has_exit="EXIT" in words) if recorder is not None else None
         level.loop_depth += 1
         depth = len(self._enclosing)
-        self._enclosing.append((Place(source, block.first), 0))
+        self._enclosing.append((Place(source, block.first), _NO_ITERATION))
         try:
             if counter is not None and recorder is not None and loop is not None:
                 self._record_plain_rounds(source, block, counter, recorder, loop)
@@ -761,8 +770,8 @@ class Flow:
         :param loop: the record of the loop in the trace; None without a recorder.
         :param back_jump: the IF that jumps back to the label on the first line of `block`; None for LOOP, FOR, WHILE
             and REPEAT.
-        :raises InexactError: there are too many rounds, the loop never ends, a condition is not known before run time,
-            or a label would be recorded more than once.
+        :raises UnknownOrderError: there are too many rounds, the loop never ends, a condition is not known before run
+            time, or a label would be recorded more than once.
         """
         level, head = self.run.level, Place(source, block.first)
         condition_place = head if back_jump is None else Place(source, back_jump.first)
@@ -771,13 +780,13 @@ class Flow:
             self._count_statement(condition_place)
             iteration += 1
             self._enclosing[depth] = head, iteration
-            if recorder is not None and iteration == 2:
+            if recorder is not None and iteration == 2:  # one round alone is written once
                 self._check_labels(source, block)
             counts_at_begin = self._change_counts()
             if counter is None and self._traced_count - start_count > MOST_UNCOUNTED:
                 subject = f"{block.word} has not ended" if back_jump is None else "GOTO still leads back"
                 problem = f"{subject} after {MOST_UNCOUNTED} statements"
-                raise inexact_error(condition_place, problem, "Check its condition, or write FOR instead.")
+                raise unknown_order_error(condition_place, problem, "Check its condition, or write FOR instead.")
             if recorder is not None and loop is not None:
                 recorder.begin_round(loop, block, counter.value() if counter is not None else None)
             self.follow(source, block.parts[0].nodes)
@@ -794,7 +803,7 @@ class Flow:
                     if back_jump is None
                     else "GOTO always leads back: no variable of its condition changes"
                 )
-                raise inexact_error(condition_place, problem, LOOP_ADVICE)
+                raise unknown_order_error(condition_place, problem, LOOP_ADVICE)
 
     def _follow_back_jump(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Follow the rounds between a label and an IF that jumps back to the label.
@@ -802,29 +811,29 @@ class Flow:
         :param index: index of the node with the label.
         :returns: the index of the node with the IF; 0 if nothing was followed: there is no such IF, or the rounds are
             left as they are since they cannot be followed (`--keep-unresolved`).
-        :raises InexactError: without that option, if the condition of the IF is not known before run time.
+        :raises UnknownOrderError: without that option, if the condition of the IF is not known before run time.
         """
-        end, recorder = self._back_jump_index(source, nodes, index, label), self.recorder
-        if not end or recorder is None:
+        if_index, recorder = self._back_jump_index(source, nodes, index, label), self.recorder
+        if not if_index or recorder is None:
             return 0
         run, undo = self.run, self._undo_function(recorder)
         values, state = run.variables.snapshot(), run.settings.state
         run.is_final = False
         try:
-            self._follow_label_rounds(source, nodes[index : end + 1], recorder)
-        except InexactError:
+            self._follow_label_rounds(source, nodes[index : if_index + 1], recorder)
+        except UnknownOrderError:
             if not run.keeps_unresolved:
                 raise
             undo()
             run.variables.restore(values)  # the statements of the first round are followed again, by the caller
             run.settings.change_state(run.row, state)
             return 0
-        return end
+        return if_index
 
     def _back_jump_index(self, source: Source, nodes: tuple[Node, ...], index: int, label: tree.Label) -> int:
         """Return the index of the IF that does nothing but jump back to a label; 0 if there is none.
 
-        No other GOTO may lead to the label: if the rounds are written one after the other, the label is left out. The
+        No other GOTO may lead to the label: corrected rounds may be written one after the other, without the label. The
         label must not be in a loop or in a structure that may not run.
 
         :param index: index of the node with the label.
@@ -845,20 +854,20 @@ class Flow:
         """Follow the statements between a label and the IF that jumps back to it, as the rounds of a REPEAT.
 
         :param nodes: the label, the statements, the IF.
-        :raises InexactError: the condition is not known before run time, there are too many rounds, the rounds never
-            end, or a label would be recorded more than once.
+        :raises UnknownOrderError: the condition is not known before run time, there are too many rounds, the rounds
+            never end, or a label would be recorded more than once.
         """
-        level, first, back_jump = self.run.level, nodes[0], nodes[-1]
-        if not isinstance(first, int) or not isinstance(back_jump, Block):  # never so: the label is a line
+        level, label_line, back_jump = self.run.level, nodes[0], nodes[-1]
+        if not isinstance(label_line, int) or not isinstance(back_jump, Block):  # never so: the label is a line
             return
         # the loop ends with ENDIF, a round on the line before the IF
-        loop_block = Block("REPEAT", first, back_jump.last, (Part(first, back_jump.first, nodes[1:-1]),))
-        round_block = Block("REPEAT", first, back_jump.first, loop_block.parts)
+        loop_block = Block("REPEAT", label_line, back_jump.last, (Part(label_line, back_jump.first, nodes[1:-1]),))
+        round_block = Block("REPEAT", label_line, back_jump.first, loop_block.parts)
         self._check_comments(source, loop_block, range(back_jump.first, back_jump.last))
         loop = recorder.begin_loop(loop_block, counter="", step=0, has_exit=False, closing=back_jump.first)
         depth = len(self._enclosing)
         level.loop_depth += 1
-        self._enclosing.append((Place(source, first), 0))
+        self._enclosing.append((Place(source, label_line), _NO_ITERATION))
         try:
             self._follow_rounds(source, round_block, None, recorder, loop, back_jump=back_jump)
         finally:
@@ -872,7 +881,7 @@ class Flow:
         False for FOR, WHILE and LOOP, which do not end there.
 
         :param back_jump: the IF; None for LOOP, FOR, WHILE and REPEAT.
-        :raises InexactError: the condition is not known before run time.
+        :raises UnknownOrderError: the condition is not known before run time.
         """
         if back_jump is not None:
             return not self._jumps_back(source, back_jump)
@@ -882,28 +891,31 @@ class Flow:
         """Return whether the condition of an IF holds.
 
         :param jump: the IF, which does nothing but jump back to a label.
-        :raises InexactError: the condition is not known before run time.
+        :raises UnknownOrderError: the condition is not known before run time.
         """
         place, head = Place(source, jump.first), statement(source, jump.first)
         self.run.statement_place = place
         holds = self.run.variables.truth(head.condition) if isinstance(head, tree.If) else None
         if holds is None:
             # on the line of the GOTO, before ENDIF
-            raise inexact_error(Place(source, jump.last - 1), *undecided_jump_message(self.run.variables, place))
+            raise unknown_order_error(Place(source, jump.last - 1), *undecided_jump_message(self.run.variables, place))
         return holds
 
     def _check_labels(self, source: Source, block: Block) -> None:
-        """Refuse labels inside a loop with a second round: they would be written more than once.
+        """Refuse labels inside a loop around motions, which begins its second round.
 
-        :param block: the loop; a label on its first line does not count: the rounds begin behind it.
-        :raises InexactError: there is a label.
+        Corrected rounds may be written one after the other, and a routine cannot have a label twice.
+
+        :param block: the loop. It may also be the lines between a label and an IF that jumps back to it: that label, on
+            the first line, does not count, since it is before the rounds.
+        :raises UnknownOrderError: there is a label.
         """
         for line in block.lines():
             if line != block.first and isinstance(statement(source, line), tree.Label):
-                raise inexact_error(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
+                raise unknown_order_error(Place(source, line), "a label is in a loop around motions", _LABEL_ADVICE)
 
     def _check_comments(self, source: Source, block: Block, closing: Iterable[int] = ()) -> None:
-        """Refuse force comments on the lines that begin and end a loop: it is not clear in which rounds they hold.
+        """Refuse force comments on the lines that begin and end a loop: it is not clear in which rounds they act.
 
         :param closing: lines that close the loop in addition to its last line.
         :raises ProgramError: there is a comment.
@@ -949,24 +961,24 @@ class Flow:
         recorder.record_plain_rounds(loop, block, plain_rounds)
         for line in body.triggers:  # what they write may change at any time from now on
             self._follow_noting_errors(Place(source, line), statement(source, line))
-        # the first and the last round are run: the last one leaves the values
+        # assignments of the first and the last round are run: the last one leaves the values
         for round_count in (rounds - 1, 1):
             for line in body.assignments:
                 self._follow_noting_errors(Place(source, line), statement(source, line))
             counter.skip(round_count)
 
     def _follow_endless(self, source: Source, block: Block, recorder: Recorder | None) -> None:
-        """Follow one iteration of a LOOP without EXIT, in place of all; the routine ends with it.
+        """Follow one iteration of a LOOP without EXIT, in place of all; what is behind it never runs.
 
         `joins` checks later that the iteration ends in the pose and with the settings with which it began.
 
         :param recorder: records the trace; None for a LOOP without motions, which is refused.
-        :raises InexactError: the LOOP is in another loop, a branch or a called routine, or an iteration changes a
+        :raises UnknownOrderError: the LOOP is in another loop, a branch or a called routine, or an iteration changes a
             variable that the next one may use.
         """
         run, level, place = self.run, self.run.level, Place(source, block.first)
         if recorder is None or level.loop_depth or run.is_forked or not run.is_certain or len(run.stack) > 1:
-            raise inexact_error(place, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
+            raise unknown_order_error(place, "LOOP never ends: there is no EXIT", LOOP_ADVICE)
         self._check_comments(source, block)
         run.is_final = False
         snapshot = run.variables.snapshot()
@@ -983,19 +995,19 @@ class Flow:
             sorted_names = sorted(names, key=lambda name: (name[0] == "$", name))
             changed_names = first_of([*map(shown_name, sorted_names)], _MOST_NAMES)
             problem = f"LOOP never ends, and its rounds differ: each one changes {changed_names} for the next"
-            raise inexact_error(place, problem, "Set it at the beginning of each round.")
+            raise unknown_order_error(place, problem, "Set it at the beginning of each round.")
         level.return_line = block.last
 
     def _check_rounds(self, source: Source, block: Block, counter: Counter, recorder: Recorder | None) -> None:
         """Refuse a FOR that runs too many iterations or statements, before it is followed.
 
         :param recorder: records the trace; None for a FOR without motions.
-        :raises InexactError: it runs too many.
+        :raises UnknownOrderError: it runs too many.
         """
         limit = MOST_STATEMENTS if recorder is None else MOST_TRACED + len(source.starts)
         if counter.round_count > limit:
             problem = f"FOR has {counter.round_count} rounds, more than {limit}"
-            raise inexact_error(Place(source, block.first), problem, "Check its bounds.")
+            raise unknown_order_error(Place(source, block.first), problem, "Check its bounds.")
         module = self.run.level.module
         # of nested loops the outermost one is counted, with the rounds of those inside it
         if not self.run.level.loop_depth and not self._least_statements.may_write_counter(
@@ -1008,7 +1020,7 @@ class Flow:
         """Return whether a loop runs its body once more, by its counter or the condition of WHILE; LOOP, REPEAT: True.
 
         :param counter: the counter of FOR; None for other loops.
-        :raises InexactError: the counter or the condition is not known before run time.
+        :raises UnknownOrderError: the counter or the condition is not known before run time.
         """
         if counter is not None:
             return counter.has_next_round()
@@ -1017,7 +1029,7 @@ class Flow:
     def _condition_holds(self, source: Source, line: int) -> bool:
         """Return whether the condition of WHILE or UNTIL on a line holds.
 
-        :raises InexactError: the condition is not known before run time.
+        :raises UnknownOrderError: the condition is not known before run time.
         """
         stmt, holds = statement(source, line), None
         self.run.statement_place = Place(source, line)

@@ -19,7 +19,13 @@ from postproc.dialects.krl.language.values import Call, OpaqueText, Reference, U
 from postproc.dialects.krl.read.calls import IN_ORDER, Calls
 from postproc.dialects.krl.read.data_lists import declare_variables
 from postproc.dialects.krl.read.explanations import names_without_value, why_not_decided, why_unknown
-from postproc.dialects.krl.read.known import NO_VALUE, UnknownValue, VariableValue, inexact_error, stored_originals
+from postproc.dialects.krl.read.known import (
+    NO_VALUE,
+    UnknownValue,
+    VariableValue,
+    stored_originals,
+    unknown_order_error,
+)
 from postproc.dialects.krl.read.run import SETTING_ADVICE, Run
 from postproc.dialects.krl.read.state import MOTION_SETTINGS, STORED_VARIABLES, State
 from postproc.dialects.krl.read.variables import Variables, convert_to_type
@@ -164,13 +170,13 @@ class Interpreter:
         runs. In a called routine it is refused: it would not be known what the routine does.
 
         :param place: file and line of the RETURN.
-        :raises InexactError: the RETURN may not run, and is in a called routine.
+        :raises UnknownOrderError: the RETURN may not run, and is in a called routine.
         """
         level = self.run.level
         if not self.run.is_certain:
             is_in_called_routine = not level.is_traced or len(self.run.stack) > 1
             if is_in_called_routine:
-                raise inexact_error(place, "it is not known whether it returns here")
+                raise unknown_order_error(place, "it is not known whether it returns here")
             return
         if stmt.value is not None:
             level.result = convert_to_type(self.calls.evaluate_with_calls(place, stmt.value), level.routine.result_type)
@@ -246,7 +252,7 @@ class Interpreter:
         """Refuse an EXIT of a loop whose rounds are followed one by one, if it is not known whether the EXIT runs.
 
         :param place: file and line of the EXIT.
-        :raises InexactError: the EXIT is in a control structure of the loop whose condition is not known.
+        :raises UnknownOrderError: the EXIT is in a control structure of the loop whose condition is not known.
         """
         level = self.run.level
         # open structures are those whose condition is not known; if a loop is among them, the EXIT leaves that loop
@@ -254,7 +260,7 @@ class Interpreter:
             word, line = level.open_structures[-1]
             reason = why_not_decided(self.run.variables, place.source, statement(place.source, line).values)
             problem = "it is not known before the program runs whether the loop is left here: "
-            raise inexact_error(
+            raise unknown_order_error(
                 place,
                 f"{problem}the condition of {word} ({Place(place.source, line)}) is not known{reason}",
                 LOOP_ADVICE,

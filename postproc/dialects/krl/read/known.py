@@ -20,8 +20,8 @@ from postproc.errors import ProgramError
 class UnknownValue(Struct, frozen=True):
     """A variable whose value is not known before run time.
 
-    :param change_place: what changes it, as text for a message; empty if it has no value at all.
-    :param reason: why the value that it is set to there is not known.
+    :param change_place: statement or interrupt that changes it, as text for a message; empty if it has no value at all.
+    :param reason: why the value that it is set to there is not known, as text; may be empty.
     """
 
     change_place: str = ""
@@ -38,7 +38,7 @@ class UnknownValue(Struct, frozen=True):
 
 
 NO_VALUE = UnknownValue()
-
+"""The value of a variable that has none: it was never set."""
 
 VariableValue = Number | Word | Aggregate | Position | UnknownValue
 
@@ -114,8 +114,10 @@ def stored_originals(imported: Import) -> tuple[str, str]:
     return imported.original, f"{imported.file}/{imported.original}"
 
 
-class InexactError(ProgramError):
-    """The branch taken, or the number of iterations, is not known before run time.
+class UnknownOrderError(ProgramError):
+    """The order in which statements run is not known before run time: the branch taken, or the number of iterations.
+
+    Also raised where more statements run than are followed.
 
     :ivar routine: the called routine; None if the error is not about a call.
     """
@@ -132,14 +134,14 @@ def unresolved_error(cause: ProgramError) -> UnresolvedError:
     return UnresolvedError(cause.problem, file=cause.file, line=cause.line, text=cause.text, advice=cause.advice)
 
 
-def inexact_error(
+def unknown_order_error(
     place: Place, problem: str, advice: str | None = None, routine: Routine | None = None
-) -> InexactError:
-    """Return the error that the branch taken, or the number of iterations, is not known at a line.
+) -> UnknownOrderError:
+    """Return the error that the branch taken, or the number of iterations, is not known or not followed at a line.
 
     :param routine: the called routine, if the error is about a call; else None.
     """
     base = place.error(problem, advice)
-    error = InexactError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
+    error = UnknownOrderError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)
     error.routine = routine
     return error

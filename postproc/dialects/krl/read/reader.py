@@ -47,7 +47,7 @@ from postproc.dialects.krl.read.joins import (
     predecessors_and_joins,
     transitions,
 )
-from postproc.dialects.krl.read.known import InexactError
+from postproc.dialects.krl.read.known import UnknownOrderError
 from postproc.dialects.krl.read.main_routine import Start, TraceFollower, execution_of
 from postproc.dialects.krl.read.motion_columns import MotionColumns, merged_motions
 from postproc.dialects.krl.read.motions import (
@@ -198,7 +198,7 @@ class _Reading(Struct, frozen=True, eq=False):
             raise follower.run.trace.error(problem, follower.run.row, advice) from None
         except ProgramError as cause:
             # under `--keep-unresolved` unknown settings are no errors; the other two errors end the run early
-            if self.cell.krl.keep_unresolved or isinstance(cause, InexactError | BranchError):
+            if self.cell.krl.keep_unresolved or isinstance(cause, UnknownOrderError | BranchError):
                 raise
             faults = [cause, *(error for error in cause.further_errors if isinstance(error, ProgramError))]
             fault_keys = {(fault.file, fault.line, fault.problem) for fault in faults}
@@ -487,7 +487,7 @@ def _obstacles_of(cause: ProgramError, library: Library, *, keeps_branches: bool
     """
     if isinstance(cause, BranchError) and keeps_branches:
         return cause.fork_visits
-    if isinstance(cause, InexactError) and cause.routine is not None:  # a call that cannot be followed
+    if isinstance(cause, UnknownOrderError) and cause.routine is not None:  # a call that cannot be followed
         is_in_program = cause.routine.source is library.program.source
         return frozenset(() if is_in_program else {cause.routine})
     files = {error.file for error in (cause, *cause.further_errors)}
