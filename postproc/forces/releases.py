@@ -31,82 +31,88 @@ _LARGEST_SHARE = 0.4
 def released_motions(program: Program, path: Segments, knots: Knots) -> Bools:
     """Return True for the motions (M,) at whose end the force ends: lines and arcs under force before a wait.
 
-    Where branches meet or rounds repeat, all motions that may be the last end without force, or none is released:
-    corrected, they would not meet.
+    At a control-flow join (several branches, or the iterations of a loop, lead to one motion) the motions that may be
+    the last one before it either all end without force, or none does: their corrected ends would be at different places
+    otherwise, and the motion after the join begins at one.
 
     :param path: geometry of all motions.
     :param knots: the forces of the motions, at least one knot on each.
     """
     m, is_released = program.motions, np.zeros(len(program.motions), dtype=np.bool_)
-    waiting = program.waiting_motions
-    waiting = waiting[waiting >= 0]
-    if not len(waiting):
+    waiting_motions = program.waiting_motions  # at whose ends the program waits; −1: before the first motion
+    waiting_motions = waiting_motions[waiting_motions >= 0]
+    if not len(waiting_motions):
         return is_released
-    last = np.searchsorted(knots.motion, np.arange(len(m)), side="right") - 1
-    has_force = ~m.rapid & any_column(knots.wrench.take(last, axis=0) != 0.0)
-    is_divisible = has_force & np.isin(m.kind, (LIN, CIRC))
+    last_knot = np.searchsorted(knots.motion, np.arange(len(m)), side="right") - 1
+    has_force = ~m.rapid & any_column(knots.wrench.take(last_knot, axis=0) != 0.0)
+    is_divisible = has_force & np.isin(m.kind, (LIN, CIRC))  # PTP and splines take no targets between their ends
     previous = predecessors(program)
-    while len(waiting):
-        is_released[waiting] = is_divisible[waiting]
+    while len(waiting_motions):
+        is_released[waiting_motions] = is_divisible[waiting_motions]
         # a short motion has no force at all then, and that of the motion before ends
-        waiting = previous[waiting[is_divisible[waiting] & (path.length[waiting] <= _LEAST_LENGTH)]]
-        waiting = waiting[waiting >= 0]
-        waiting = waiting[~is_released[waiting]]
-    meeting_ends = _meeting_ends(program)
-    while divided := [
-        ends for ends in meeting_ends if is_released[ends].any() and (has_force & ~is_released)[ends].any()
+        is_short = is_divisible[waiting_motions] & (path.length[waiting_motions] <= _LEAST_LENGTH)
+        waiting_motions = previous[waiting_motions[is_short]]
+        waiting_motions = waiting_motions[waiting_motions >= 0]
+        waiting_motions = waiting_motions[~is_released[waiting_motions]]
+    motions_before_joins = _motions_before_joins(program)
+    while mixed_groups := [
+        group for group in motions_before_joins if is_released[group].any() and (has_force & ~is_released)[group].any()
     ]:
-        for ends in divided:
-            is_released[ends] = False
+        for group in mixed_groups:
+            is_released[group] = False
     return is_released
 
 
-def _meeting_ends(program: Program) -> list[list[int]]:
-    """Return groups of motions: after which of a group the next motion begins is not known before run time."""
-    ends_of_motion: dict[int, set[int]] = {}
+def _motions_before_joins(program: Program) -> list[list[int]]:
+    """Return groups of motions: after which one of a group the next motion begins is not known before run time."""
+    group_of_motion: dict[int, set[int]] = {}  # motion → the motions at whose ends it may begin
     previous = predecessors(program)
     for motion, end in program.transitions:
-        ends_of_motion.setdefault(motion, {int(previous[motion])}).add(end)
+        group_of_motion.setdefault(motion, {int(previous[motion])}).add(end)
     # the start of the program, −1, has no force
-    return [[end for end in ends if end >= 0] for ends in (*program.joins, *ends_of_motion.values())]
+    return [[end for end in ends if end >= 0] for ends in (*program.joins, *group_of_motion.values())]
 
 
 def with_releases(forces: PathForces, is_released: Bools, ramp: float) -> PathForces:
     """Return the forces, falling to zero at the end of some motions, and rising from zero at the start of the next.
 
-    The force of a motion with a ramp rises over that ramp, which is left as it is.
+    Forces are wrenches at knots (places along the motions) and linear between them, so knots are replaced. The force of
+    a motion with a ramp rises over that ramp, which is left as it is.
 
-    :param is_released: (M,) see `released_motions`.
+    :param is_released: (M,) True for motions at whose end the force ends, see `released_motions`.
     :param ramp: length over which the force falls and rises [m], less on short motions.
     """
     if not is_released.any():
         return forces
     length, previous = forces.axes.path.length, predecessors(forces.axes.program)
     is_long = length > _LEAST_LENGTH
-    is_resumed = (previous >= 0) & is_released[previous] & ~forces.ramped & is_long
+    is_resumed = (previous >= 0) & is_released[previous] & ~forces.ramped & is_long  # the force rises from zero
     share = np.minimum(ramp / np.maximum(length, _LEAST_LENGTH), _LARGEST_SHARE)
-    fall = np.where(is_long, 1.0 - share, 0.0)  # where it begins
-    motion = np.repeat(np.arange(len(length)), np.diff(forces.first))
-    falls = is_released[motion] & (forces.t >= fall[motion])
-    rises = is_resumed[motion] & (forces.t <= share[motion])
-    kept, released, resumed = np.flatnonzero(~falls & ~rises), np.flatnonzero(is_released), np.flatnonzero(is_resumed)
-    divided = released[is_long[released]]
-    pieces = [
-        _WaitKnots(kept, forces.t[kept], forces.wrench.take(kept)),
+    # t of a motion (0: start, 1: end) at which its force begins to fall; a short motion has none at all
+    fall_begin = np.where(is_long, 1.0 - share, 0.0)
+    rise_end = share
+    motion = np.repeat(np.arange(len(length)), np.diff(forces.first))  # of each knot
+    is_in_fall = is_released[motion] & (forces.t >= fall_begin[motion])
+    is_in_rise = is_resumed[motion] & (forces.t <= rise_end[motion])
+    unchanged_knots = np.flatnonzero(~is_in_fall & ~is_in_rise)
+    released_rows, resumed_rows = np.flatnonzero(is_released), np.flatnonzero(is_resumed)
+    falling_rows = released_rows[is_long[released_rows]]
+    knot_groups = [
+        _NewKnots(unchanged_knots, forces.t[unchanged_knots], forces.wrench.take(unchanged_knots)),
         # where the fall begins and the rise ends, the force is as given; at the wait it is zero
-        _knots_at(forces, divided, fall[divided]),
-        _knots_at(forces, resumed, share[resumed]),
-        _free_knots(forces.first[released + 1] - 1, 1.0),
-        _free_knots(forces.first[resumed], 0.0),
+        _interpolated_knots(forces, falling_rows, fall_begin[falling_rows]),
+        _interpolated_knots(forces, resumed_rows, rise_end[resumed_rows]),
+        _zero_knots(forces.first[released_rows + 1] - 1, t=1.0),
+        _zero_knots(forces.first[resumed_rows], t=0.0),
     ]
-    return _in_order(forces, motion, _WaitKnots(*map(np.concatenate, zip(*pieces, strict=True))))
+    return _with_knots(forces, motion, _NewKnots(*map(np.concatenate, zip(*knot_groups, strict=True))))
 
 
-class _WaitKnots(NamedTuple):
-    """k knots of forces around waits.
+class _NewKnots(NamedTuple):
+    """k knots that replace those of forces around waits: wrenches at places along motions.
 
     :param knot: (k,) knot of the forces as given, whose motion, frame, standard deviations and factor each has.
-    :param t: (k,) place on the motion.
+    :param t: (k,) place on that motion: 0 at its start, 1 at its end.
     :param wrench: (k, 6) [N, N·m].
     """
 
@@ -115,26 +121,37 @@ class _WaitKnots(NamedTuple):
     wrench: Array
 
 
-def _free_knots(knot: Ints, t: float) -> _WaitKnots:
-    """Return knots without force at one place of their motions, with the properties of knots (n,) of these motions."""
-    return _WaitKnots(knot, np.full(len(knot), t), np.zeros((len(knot), 6)))
+def _zero_knots(knot: Ints, t: float) -> _NewKnots:
+    """Return knots without force at one place of their motions: `t`, 0 at the start and 1 at the end.
+
+    :param knot: (n,) knots of these motions, whose other properties they get.
+    """
+    return _NewKnots(knot, np.full(len(knot), t), np.zeros((len(knot), 6)))
 
 
-def _knots_at(forces: PathForces, motion: Ints, t: Array) -> _WaitKnots:
-    """Return knots at places (n,) between the given ones, in the frame of the next one."""
-    first, last = forces.first[motion], forces.first[motion + 1] - 1
-    right = np.clip(np.searchsorted(forces.place, motion + t), first, last)
+def _interpolated_knots(forces: PathForces, motion: Ints, t: Array) -> _NewKnots:
+    """Return knots with the force that acts at places between the given knots.
+
+    Each is in the axes (`BASE`, `TOOL`, `FEED`) of the next given knot. On a ramp, whose first knot is in other axes,
+    it has the force at the end of the ramp.
+
+    :param motion: (n,) rows of `Motions`.
+    :param t: (n,) place on each motion: 0 at its start, 1 at its end.
+    """
+    first, last = forces.first[motion], forces.first[motion + 1] - 1  # given knots of each motion
+    right = np.clip(np.searchsorted(forces.place, motion + t), first, last)  # `place` is motion + t of the given knots
     left = np.maximum(right - 1, first)
-    is_between = (forces.knot_frame[left] == forces.knot_frame[right]) & (forces.t[left] < t) & (t < forces.t[right])
-    left = np.where(is_between, left, right)  # on a ramp, whose first knot has other axes, the force at its end counts
+    has_same_axes = forces.knot_frame[left] == forces.knot_frame[right]
+    is_between = has_same_axes & (forces.t[left] < t) & (t < forces.t[right])
+    left = np.where(is_between, left, right)  # else the next knot alone counts
     interval = forces.t[right] - forces.t[left]
     share = (t - forces.t[left]) / np.where(is_between, interval, 1.0)
-    begin, end = forces.wrench.take(left), forces.wrench.take(right)
-    return _WaitKnots(right, t, begin + share[:, None] * (end - begin))
+    left_wrench, right_wrench = forces.wrench.take(left), forces.wrench.take(right)
+    return _NewKnots(right, t, left_wrench + share[:, None] * (right_wrench - left_wrench))
 
 
-def _in_order(forces: PathForces, motion: Ints, knots: _WaitKnots) -> PathForces:
-    """Return the forces with other knots, sorted along the motions.
+def _with_knots(forces: PathForces, motion: Ints, knots: _NewKnots) -> PathForces:
+    """Return the forces with other knots, which are put in order along the motions.
 
     :param motion: (K,) motion of each knot as given.
     """
