@@ -73,18 +73,18 @@ def expand(
 
     :param text: text of the file.
     :param procedures_of: returns the procedures that are the program, of its modules.
-    :param cell_value: see `Execution`.
-    :param without_effect: see `Effects`.
-    :param loaded: see `Execution`.
-    :param start_numbers: see `procedures.follow`.
+    :param cell_value: returns the value of a tool or work object of the cell by its name and type; None if it has none.
+    :param without_effect: names of routines of other files that change no data and move nothing.
+    :param loaded: modules of other files, whose data are read, but whose routines are not executed.
+    :param start_numbers: the start of the program as the 12 numbers of a jointtarget.
     :raises RapidSyntaxError: the text is not RAPID.
     :raises RapidError: the program cannot be followed, or is too long when expanded; with its line in the file.
     """
-    line = np.arange(len(line_spans(text)[0])) + 1
+    line = np.arange(len(line_spans(text)[0])) + 1  # of the file, for each line of `text`
     loop_lines: list[int] = []
     copied_names: list[str] = []
     next_run_data: tuple[ChangedData, ...] = ()
-    for pass_number in range(_MOST_PASSES):
+    for pass_number in range(_MOST_PASSES):  # each expands some loops or one routine, and executes the new text
         program_modules = modules(text)
         entries = procedures_of(program_modules)
         if pass_number == 0:
@@ -99,7 +99,13 @@ def expand(
             raise cause.set_line(_line_at(text, line, cause.start)) from None
         if not changes:
             return ExpandedProgram(
-                text, program_modules, executed, line, tuple(loop_lines), tuple(copied_names), next_run_data
+                text,
+                program_modules,
+                executed,
+                line=line,
+                loop_lines=tuple(loop_lines),
+                copied_names=tuple(copied_names),
+                changed_data=next_run_data,
             )
         for change in changes:
             if change.copied_name:
@@ -126,10 +132,10 @@ def _line_at(text: str, line: Ints, start: int) -> int:
 
 
 class _Change(Struct, frozen=True):
-    """A change of a text: ``text[start:stop]`` is replaced by pieces.
+    """A change of a text: ``text[start:stop]`` is replaced by pieces of text.
 
-    :ivar pieces: (origin, new text) in order; the origin is the offset in the old text from which it is copied, −1 for
-        new text.
+    :ivar pieces: (origin, piece) in order; the origin is the offset in the old text from which the piece is copied, −1
+        for a new piece.
     :ivar copied_name: name of the routine, if the change inserts copies of it; otherwise empty.
     :ivar is_loop: True if the change writes a loop out.
     """
@@ -142,12 +148,12 @@ class _Change(Struct, frozen=True):
 
 
 def _first_changes(text: str, program_modules: Sequence[Module], execution: ExecutedProgram) -> list[_Change]:
-    """Return the changes of the next pass; empty if each statement that moves runs once, and is corrected for all runs.
+    """Return the changes of the next pass of expansion; empty if no more are needed.
 
-    A routine that routines call which are not followed stays as it is for them, and gets a copy for each call that is
-    followed. Loops whose statement runs once and that have several rounds are written out next; of nested loops, the
-    outermost. Without such loops, one routine that several statements call, each once, gets a copy for each further
-    call.
+    None are needed if each statement that moves runs once, and may be corrected for all who run it. A routine that
+    routines call which are not followed stays as it is for them, and gets a copy for each call that is followed. Loops
+    whose statement runs once and that have several rounds are written out next; of nested loops, the outermost. Without
+    such loops, one routine that several statements call, each once, gets a copy for each further call.
 
     :param text: the present text.
     :param execution: result of its execution.
@@ -157,14 +163,18 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
     shared_names = _shared_routines(program_modules, execution)
     for name, calls in execution.calls.items():
         if name in shared_names and len({call.start for call in calls}) == len(calls):
-            return _copies(text, program_modules, name, calls, kept_count=0)
-    move_counts: dict[int, int] = {}
+            return _copies(text, program_modules, name, calls, kept_count=0)  # all calls get a copy
+    move_counts: dict[int, int] = {}  # offset of a statement → number of its moves
     for move in execution.moves:
         move_counts[move.statement.start] = move_counts.get(move.statement.start, 0) + 1
     if max(move_counts.values(), default=0) <= 1:
         return []
-    # loops that run once, with the values of their variable; loops of a single round need no change
-    single_runs = [runs[0] for runs in execution.rounds.values() if len(runs) == 1 and len(runs[0][1]) > 1]
+    # loops that run once, with the values of their variable in all rounds; loops of a single round need no change
+    single_runs = [
+        (loop, values)
+        for (loop, values), *further_runs in execution.rounds.values()
+        if not further_runs and len(values) > 1
+    ]
     outermost = [
         (loop, values)
         for loop, values in single_runs
@@ -175,7 +185,7 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
     for name, calls in execution.calls.items():
         call_starts = {call.start for call in calls}
         if len(calls) > 1 and len(call_starts) == len(calls):
-            return _copies(text, program_modules, name, calls, kept_count=1)
+            return _copies(text, program_modules, name, calls, kept_count=1)  # the first call keeps the routine
     start = next(start for start, count in move_counts.items() if count > 1)
     raise RapidError("a loop or routine with moves runs more than once", start, "Write its moves one by one.")
 
@@ -183,8 +193,8 @@ def _first_changes(text: str, program_modules: Sequence[Module], execution: Exec
 def _shared_routines(program_modules: Sequence[Module], execution: ExecutedProgram) -> set[str]:
     """Return the names of followed routines with motions that routines call which are not followed.
 
-    Handlers are not followed either. Routines whose only motions are to joint angles stay as they are in any case, and
-    are left out.
+    They must stay as they are for those callers. Handlers are not followed either. Routines whose only motions are to
+    joint angles stay as they are in any case, and are left out.
     """
     routines = [routine for module in program_modules for routine in module.routines]
     called_elsewhere: set[str] = set()
@@ -232,10 +242,11 @@ def _copies(
         if word is None or word[0].startswith("%"):
             problem = f"{name} needs a copy for this call, and is called by its name as text"
             raise RapidError(problem, call.start, f"Call it as {name};")
-        changes.append(_Change(word.start(), word.end(), ((-1, copy_name),)))
+        changes.append(_Change(word.start(), word.end(), pieces=((-1, copy_name),)))
+        # −1: new text
         pieces += [(-1, _line_end(text)), (routine.start, text[routine.start : name_start]), (-1, copy_name)]
         pieces.append((name_stop, text[name_stop : routine.stop]))
-    changes.append(_Change(routine.stop, routine.stop, tuple(pieces), copied_name=name))
+    changes.append(_Change(routine.stop, routine.stop, pieces=tuple(pieces), copied_name=name))
     return changes
 
 
@@ -268,11 +279,11 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
     body = text[begin:end]
     first_line_end = re.match(r"[ \t]*(?:![^\r\n]*)?(\r\n|\n|\r)", body)  # the end of the line of DO
     offset = first_line_end.end() if first_line_end else 0
-    last_blanks = re.search(r"[ \t]*\Z", body[offset:])
+    last_blanks = re.search(r"[ \t]*\Z", body[offset:])  # before ENDFOR or ENDWHILE
     body_stop = offset + last_blanks.start() if last_blanks else len(body)
     indent = re.search(r"[ \t]*\Z", text[: loop.start])
     variable_spans = _variable_spans(text, loop) if loop.name else []
-    pieces: list[tuple[int, str]] = []
+    pieces: list[tuple[int, str]] = []  # origin in the text, −1 for new text; and the piece
     end_of_line = _line_end(text)
     ends_line = body[:body_stop].endswith(("\n", "\r"))
     variable = text[loop.start :].split(maxsplit=2)[1]  # as spelled after FOR
@@ -289,7 +300,7 @@ def _unroll(text: str, loop: Loop, values: Sequence[float]) -> _Change:
         pieces.append((position, text[position : begin + body_stop]))
     if ends_line and indent:
         pieces.append((-1, f"{indent[0]}! end"))
-    return _Change(loop.start, loop.stop, tuple(pieces), is_loop=True)
+    return _Change(loop.start, loop.stop, pieces=tuple(pieces), is_loop=True)
 
 
 def _variable_spans(text: str, loop: Loop) -> list[tuple[int, int]]:
@@ -301,6 +312,7 @@ def _variable_spans(text: str, loop: Loop) -> list[tuple[int, int]]:
     spans: list[tuple[int, int]] = []
     parser, previous_word = Parser(text, begin), ""
     while parser.kind != "end" and parser.start < end:
+        # components and options of that name are no variable
         if parser.kind == "name" and parser.word == loop.name and previous_word not in (".", "\\"):
             if previous_word == "FOR":
                 raise RapidError(f"{loop.name} is the variable of two loops", loop.start, "Give them two names.")

@@ -44,9 +44,10 @@ class LoadedModules(Struct, frozen=True, eq=False):
     documents: tuple[Document, ...] = ()
 
     def seen_from(self, program: Sequence[Module]) -> LoadedModules:
-        """Return these modules with other names where the only module of a program has LOCAL ones.
+        """Return these modules with other names for data and routines that LOCAL ones of the program hide.
 
-        :param program: the modules of the program. Nothing is hidden if there are several.
+        :param program: the modules of the program. LOCAL names hide others in their own module only: nothing is renamed
+            if there are several.
         """
         if len(program) != 1:
             return self
@@ -130,7 +131,9 @@ def _local_names(module: Module) -> set[str]:
 
 
 def _parsed(documents: Sequence[Document], hidden_names: Set[str] = frozenset()) -> tuple[Module, ...]:
-    """Return the modules of some files, with other names for what the program does not see.
+    """Return the modules of some files, with other names for data and routines that the program does not see.
+
+    These are LOCAL ones of the modules, and those that have the names of LOCAL ones of the program.
 
     :param hidden_names: names of LOCAL data and routines of the program.
     :raises ProgramError: a file is not valid RAPID.
@@ -154,7 +157,7 @@ def _parsed(documents: Sequence[Document], hidden_names: Set[str] = frozenset())
 def _modules_of(document: Document, renamed: Mapping[str, Mapping[str, str]]) -> tuple[Module, ...]:
     """Return the modules of a file.
 
-    :param renamed: see `postproc.dialects.rapid.syntax.Parser`.
+    :param renamed: module → name → name that replaces it in this module, all in upper case.
     :raises ProgramError: the file is not valid RAPID.
     """
     try:

@@ -68,7 +68,7 @@ def _joint_motion(joints: Array) -> str:
     return f"MoveAbsJ [[{angles}],{NO_EXTERNAL_AXES}],speed_0,fine,tool_0\\WObj:=wobj_0;"
 
 
-WORDS = Words("!", "WaitTime {};", "Stop;", _joint_motion, encoding="ascii")
+WORDS = Words(comment="!", dwell="WaitTime {};", halt="Stop;", axis_motion=_joint_motion, encoding="ascii")
 _INSTRUCTIONS = {LIN: b"MoveL ", CIRC: b"MoveC ", PTP: b"MoveJ "}
 _MILLIMETRES, _QUATERNION = 4, 8
 """Decimals of positions (0.1 µm) and quaternions: 1e-8 is 0.02 µm at a lever of 1 m."""
@@ -118,8 +118,8 @@ class _NewModule:
         for _ in new.frame_changes():
             pass  # each move names its frames, but the robot must stop before them: the iteration adds these stops
         new.add_events()
-        self._check_lines()
-        # sorted: the first is 0, because the last target is a stop
+        self._check_and_indent_cell_lines()
+        # distinct distances, sorted: the first is 0, because the last target is a stop
         zones, self.zone_index = np.unique(new.approximation_distances(), return_inverse=True)
         speeds = self._speeds()
         self._add_force_comments()
@@ -134,12 +134,12 @@ class _NewModule:
         document = Document(f"{program.name}.mod", text, "ascii")
         return WrittenProgram((document,), output_line, "rapid", group_issues(new.issues))
 
-    def _check_lines(self) -> None:
-        """Check the lines of the cell, and indent them in `lines_before`.
+    def _check_and_indent_cell_lines(self) -> None:
+        """Check the lines of the cell, and indent them in `lines_before` of their targets.
 
         :raises CellError: a line is not RAPID, or moves the robot.
         """
-        for k, cell_lines in self.new_program.lines_before.items():
+        for target, cell_lines in self.new_program.lines_before.items():
             for line in cell_lines:
                 fault = language.line_fault(line)
                 if fault is not None:
@@ -147,7 +147,7 @@ class _NewModule:
                         f"a line of [gcode] is not allowed in a RAPID program: {line!r}: {fault}",
                         advice='Write it as RAPID in the cell, for example spindle_on = ["SetDO doSpindle,1;"].',
                     )
-            self.new_program.lines_before[k] = [f"    {line}" for line in cell_lines]
+            self.new_program.lines_before[target] = [f"    {line}" for line in cell_lines]
 
     def _speeds(self) -> Array:
         """Return the distinct speeds (S, 2) [mm/s, deg/s], that of MoveJ first; fill `speed_index`."""
@@ -166,9 +166,13 @@ class _NewModule:
             return
         no_note = constant(-1, len(self.targets))
         # a new program has no notes; NaN: the first path target needs a comment
-        rows = np.flatnonzero(force_comments.needs_comment(self.comment_forces, self.targets.kind, no_note, (), np.nan))
-        for k, text in zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True):
-            self.new_program.lines_before[k].append(f"    {text}")
+        needs_comment = force_comments.needs_comment(
+            self.comment_forces, self.targets.kind, note=no_note, notes=(), start=np.nan
+        )
+        targets = np.flatnonzero(needs_comment)
+        comments = force_comments.texts(b"!", self.comment_forces, targets)
+        for target, comment in zip(targets.tolist(), comments, strict=True):
+            self.new_program.lines_before[target].append(f"    {comment}")
 
     def _head_lines(self, zones: Array, speeds: Array) -> list[str]:
         """Return the lines from MODULE to the move to the start position.
@@ -267,11 +271,11 @@ def _bracketed_columns(values: Array, decimals: int) -> list[Part]:
 
 def _pose_text(pose: Array) -> str:
     """Return a pose (4, 4) [m] as an aggregate of RAPID: position [mm] and quaternion."""
-    place = ",".join(number_text(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
-    turn = ",".join(
+    position = ",".join(number_text(value) for value in (pose[:3, 3] * MM_PER_M).tolist())
+    orientation = ",".join(
         f"{without_negative_zero(value):.{_QUATERNION}f}" for value in quaternions(pose[None, :3, :3])[0].tolist()
     )
-    return f"[[{place}],[{turn}]]"
+    return f"[[{position}],[{orientation}]]"
 
 
 def _zonedata(distance: float) -> str:

@@ -20,7 +20,7 @@ class ChangedData(Struct, frozen=True):
         known.
     :ivar variables: names, among these, of data that are reset when the program pointer is moved to main.
     :ivar start: offset of the first statement that moves differently, or cannot be followed.
-    :ivar is_certain: see `Difference`.
+    :ivar is_certain: True if it is the second run that differs. Otherwise some later run may.
     """
 
     changes: dict[str, int | None]
@@ -95,5 +95,5 @@ def _may_change(execution: Execution, statement: Statement, name: str) -> bool:
         return False
     if name in effects.changed_names((statement,)):
         return True
-    outside = called_names((statement,)) - execution.result.followed_names
-    return any(name in effects.changed_data_of(called, includes_foreign_changes=False) for called in outside)
+    unfollowed_names = called_names((statement,)) - execution.result.followed_names
+    return any(name in effects.changed_data_of(called, includes_foreign_changes=False) for called in unfollowed_names)

@@ -91,10 +91,10 @@ def follow(executions: Sequence[Execution], start_numbers: Sequence[float]) -> E
     for execution, result in zip(executions, results, strict=True):
         if not result.errors:
             _check_run(execution, result, {execution.entry.name for execution in executions})
-        if program.moves and result.moves:
+        if program.moves and result.moves:  # not the first run
             program.begins.append(RunBegin(execution.entry.start, len(program.moves), len(program.notes)))
             program.moves.append(_move_to_start(execution.entry, result.moves[0], start_numbers))
-        move_count = len(program.moves)
+        move_count = len(program.moves)  # the moves of this run are counted behind those of the runs before
         program.moves += result.moves
         program.notes += [(comment, index + move_count) for comment, index in result.notes]
         program.waits += [(start, count + move_count) for start, count in result.waits]
@@ -131,7 +131,7 @@ def _move_to_start(entry: Routine, first_move: Move, start_numbers: Sequence[flo
     """Return the motion with which the run of a procedure begins: to the start of the program, in the frames of a move.
 
     :param first_move: first move of the procedure.
-    :param start_numbers: see `follow`.
+    :param start_numbers: the start as the 12 numbers of a jointtarget.
     """
     return replace(
         first_move,

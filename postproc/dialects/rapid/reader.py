@@ -122,7 +122,7 @@ class _Reader:
         """
         expanded_program = self._expand(name)
         execution = expanded_program.executed
-        line = self._file_lines(
+        line = self._file_lines(  # of each move
             expanded_program, np.array([move.statement.start for move in execution.moves], dtype=np.int64)
         )
         if execution.errors:
@@ -138,7 +138,7 @@ class _Reader:
         self._check_force_of_runs(expanded_program, notes)
         predecessor = _predecessors(execution)
         path = self._motions(execution.moves, line, forward_kinematics, predecessor)
-        is_plain = not expanded_program.loop_lines and not expanded_program.copied_names
+        is_plain = not expanded_program.loop_lines and not expanded_program.copied_names  # nothing was expanded
         all_modules = (*self.loaded.modules, *expanded_program.modules)
         data_names = frozenset(data.name for module in all_modules for data in module.data)
         return Program(
@@ -189,7 +189,12 @@ class _Reader:
 
     @staticmethod
     def _file_lines(expanded_program: ExpandedProgram, start: Ints) -> Ints:
-        """Return the lines (n,) of the file from which the offsets `start` (n,) of the expanded text come."""
+        """Return the lines (n,) of the file from which the characters at n offsets of the expanded text come.
+
+        The expanded text: loops with moves are written out, and routines have a copy for each call.
+
+        :param start: (n,) offsets.
+        """
         # the last line that begins at or before each offset
         return np.asarray(
             expanded_program.line[np.searchsorted(line_spans(expanded_program.text)[0], start, side="right") - 1]
@@ -259,11 +264,11 @@ class _Reader:
         if loop is None or not _keeps_force(executed, notes, loop):
             return
         count = _count_force_comments(executed, loop.note_count)
-        # zero forces are equal in all axes
-        begin, end = (
+        # the last force before the loop, and at the end of its round; none if it is zero, in whatever axes
+        begin_force, end_force = (
             [(note.wrench, note.frame) for note in acting[-1:] if any(note.wrench)] for acting in (notes[:count], notes)
         )
-        if begin != end:
+        if begin_force != end_force:
             problem = "this loop never ends, and its round ends under another force than it began with"
             advice = "Write a force comment, such as FORCE OFF, before the first move of the loop."
             raise self._error(problem, self._loop_line(expanded_program, loop), advice)
@@ -278,8 +283,9 @@ class _Reader:
         """
         executed = expanded_program.executed
         for begin in executed.begins:
-            acting = notes[: _count_force_comments(executed, begin.note_count)][-1:]
-            if _keeps_force(executed, notes, begin) and any(any(note.wrench) for note in acting):
+            # the last force comment before the run; there may be none
+            last_note = notes[: _count_force_comments(executed, begin.note_count)][-1:]
+            if _keeps_force(executed, notes, begin) and any(any(note.wrench) for note in last_note):
                 problem = "the procedure before this one ends under a force, and it is not known whether it runs before"
                 advice = "Write a force comment, such as FORCE OFF, at the end of that procedure."
                 line = int(self._file_lines(expanded_program, np.array([begin.start]))[0])
@@ -302,7 +308,7 @@ class _Reader:
 
         :param line: (M,) lines of the moves in the file.
         :param forward_kinematics: (6,) joints [rad] → (4, 4) flange in the robot root [m].
-        :param predecessor: see `Program.after`.
+        :param predecessor: (M,) move at whose end each begins, −1 for the start of the program; None: the move before.
         :raises ProgramError: a number or frame of a move is not valid, or its way of turning the tool is not known.
         """
         kind = np.array([move.kind for move in moves], dtype=np.int64)
@@ -311,7 +317,7 @@ class _Reader:
         tool, tools = self._frames(moves, line, [(move.tool, move.tool_name != "") for move in moves], self._tool_frame)
         target_numbers, joints = self._target_values(moves, line, has_joints)
         pose, numbers = np.empty((len(line), 4, 4)), np.full((len(line), 6), np.nan)
-        pose_numbers = target_numbers[~has_joints, :7]
+        pose_numbers = target_numbers[~has_joints, :7]  # x, y, z [mm], q1…q4
         pose[~has_joints], numbers[~has_joints] = poses(pose_numbers), _xyzabc_in_text(pose_numbers)
         for row in np.flatnonzero(has_joints).tolist():
             pose[row] = inverse(bases[base[row]]) @ forward_kinematics(joints[row]) @ tools[tool[row]]
@@ -494,7 +500,8 @@ class _Reader:
                 circle_line = int(line[rows[np.argmax(arcs.is_flat)]])
                 problem = "the three points of the circle are on a line or coincide"
                 raise self._error(problem, circle_line, "Write MoveL, or give the circle another point.")
-            for column, values in zip(columns, arcs, strict=False):  # centre, normal, sweep; without is_flat
+            # centre, normal, sweep; `arcs` has is_flat too
+            for column, values in zip(columns, arcs, strict=False):
                 column[rows] = values
         return columns
 
@@ -658,7 +665,10 @@ class _FrameOfCell:
 
 
 def _predecessors(execution: ExecutedProgram) -> Ints | None:
-    """Return `Program.after` of M moves: runs begin at the start of the program. None if there is one run."""
+    """Return the move (M,) at whose end each of M moves begins; −1 for the first move of each run. None for one run.
+
+    −1 stands for the start of the program.
+    """
     if not execution.begins:
         return None
     predecessor = np.arange(len(execution.moves)) - 1
@@ -681,11 +691,12 @@ def _keeps_force(executed: ExecutedProgram, notes: Sequence[ForceNote], begin: E
 
     :param notes: the force comments, in order.
     """
-    ends = [later.move_count for later in executed.begins if later.move_count > begin.move_count]
-    moves = enumerate(executed.moves[begin.move_count : min(ends, default=None)], begin.move_count)
-    first = next((row for row, move in moves if move.kind != PTP), None)
+    later_begins = [later.move_count for later in executed.begins if later.move_count > begin.move_count]
+    end = min(later_begins, default=None)  # of this run; None: the end of the program
+    moves = enumerate(executed.moves[begin.move_count : end], begin.move_count)
+    first_path_move = next((row for row, move in moves if move.kind != PTP), None)
     count = _count_force_comments(executed, begin.note_count)
-    return first is not None and not any(note.before <= first for note in notes[count:])
+    return first_path_move is not None and not any(note.before <= first_path_move for note in notes[count:])
 
 
 def _is_move(statement: Statement) -> bool:
@@ -712,7 +723,10 @@ def _single_precision(values: list[float]) -> Array:
 
 
 def _turn_speeds(moves: list[Move]) -> Runs | None:
-    """Return `Program.turn_speeds` of moves; None if no move has a rotational speed."""
+    """Return the limits (M, 3) of rotational speed [rad/s] of M moves; None if no move has a rotational speed.
+
+    The columns are those of `Program.turn_speeds`; infinite where there is no limit.
+    """
     speeds = np.full((len(moves), 3), np.inf)
     # v_ori limits any rotation; RAPID has no limits for single axes of the tool: the other columns
     speeds[:, 0] = _single_precision([move.turn_speed for move in moves]) * RAD_PER_DEG

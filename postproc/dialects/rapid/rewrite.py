@@ -87,7 +87,7 @@ class _SharedData(NamedTuple):
 class _Rewriter:
     """Collects the edits of one program with M moves and K targets.
 
-    :ivar row: (K,) move of each target, ascending.
+    :ivar motion_of_target: (K,) move of each target, ascending.
     :ivar is_last: (K,) True for the target at the end of its move; the others are inserted.
     :ivar position: (K, 3) positions of the targets [mm].
     :ivar quaternion: (K, 4) orientations of the targets.
@@ -127,26 +127,27 @@ class _Rewriter:
 
     def _find_lowered_moves(self) -> set[int]:
         """Return the moves whose feed was lowered after the program was read."""
-        as_read = self.program.feed_as_read
-        if as_read is None:
+        feed_as_read = self.program.feed_as_read
+        if feed_as_read is None:  # no feed was changed
             return set()
-        return set(np.flatnonzero(self.program.motions.feed < as_read).tolist())
+        return set(np.flatnonzero(self.program.motions.feed < feed_as_read).tolist())
 
     def write(self) -> WrittenProgram:
         """Make all edits of the module, and return it with the 1-based line of each target."""
         document = self.program.documents[0]
         forces = self._missing_force_comments()
-        is_divided = np.bincount(self.motion_of_target, minlength=len(self.moves)) > 1
+        is_divided = np.bincount(self.motion_of_target, minlength=len(self.moves)) > 1  # it has inserted targets
         is_corrected = ~self.targets.keep & self.is_last
-        # first target of each move: `row` is sorted
+        # first target of each move: motions of targets ascend
         begin = np.searchsorted(self.motion_of_target, np.arange(len(self.moves)))
         # the move before is corrected
         start_differs = np.append(False, np.isin(np.arange(len(self.moves)), self.motion_of_target[is_corrected])[:-1])
-        uses: dict[int, list[tuple[int, str]]] = {}  # see `_rewrite_point`
+        uses: dict[int, list[tuple[int, str]]] = {}  # uses of named targets: filled by `_rewrite_point`
         for k in np.flatnonzero(self.is_last).tolist():
             row = int(self.motion_of_target[k])
             if is_divided[row] or k in forces:
                 self._add_lines(row, range(int(begin[row]), k), k, forces)
+            # a stated duration is that of the path as it was; its speed holds for any path
             needs_speed = self.moves[row].duration > 0.0 and (
                 is_divided[row] or is_corrected[k] or bool(start_differs[row])
             )
@@ -154,14 +155,14 @@ class _Rewriter:
                 self._set_speed(row)
             if is_corrected[k]:
                 self._change_end(row, k, uses)
-            elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:
+            elif self.moves[row].kind == CIRC and self.targets.kind[k] == LIN:  # its end keeps the numbers of the text
                 self._straighten(self.moves[row])
         self._rewrite_shared_data(uses)
         if not self.edits:
             line = self._line_of_moves()
-            return WrittenProgram((document,), line, "rapid", tuple(self.issues))
+            return WrittenProgram((document,), line, dialect="rapid", issues=tuple(self.issues))
         text, line = self._edited_text()
-        return WrittenProgram((replace(document, text=text),), line, "rapid", tuple(self.issues))
+        return WrittenProgram((replace(document, text=text),), line, dialect="rapid", issues=tuple(self.issues))
 
     def _line_of_moves(self) -> Ints:
         """Return the line (K,) of each target in a module without edits: the line of its move."""
@@ -174,37 +175,47 @@ class _Rewriter:
         if self.comment_forces is None:
             return {}
         note_motions = np.array([note.before for note in self.program.notes], dtype=np.int64)
-        trailing = np.array([comment.is_trailing for comment in self.layout.notes], dtype=np.int64)
+        is_trailing = np.array([comment.is_trailing for comment in self.layout.notes], dtype=np.int64)
         # a comment in the line of a move applies to the end of the move, but not to the targets inserted before it:
         # keys are 2 · move for comments and inserted targets before the move, 2 · move + 1 for the line of the move
         target_keys = 2 * self.motion_of_target + self.is_last
+        note_keys = 2 * note_motions + is_trailing
         # the last comment that applies to each target; −1: none
-        note = np.searchsorted(2 * note_motions + trailing, target_keys, side="right") - 1
+        note = np.searchsorted(note_keys, target_keys, side="right") - 1
         needs_comment = force_comments.needs_comment(
-            self.comment_forces, self.targets.kind, note, self.program.notes, 0.0
+            self.comment_forces,
+            self.targets.kind,
+            note,
+            self.program.notes,
+            start=0.0,  # no force acts before the first comment
         )
-        needs_comment[self._first_cuts(2 * note_motions + trailing, target_keys)] = True
-        rows = np.flatnonzero(needs_comment)
-        return dict(zip(rows.tolist(), force_comments.texts(b"!", self.comment_forces, rows), strict=True))
+        needs_comment[self._first_path_targets_of_runs(note_keys, target_keys)] = True
+        targets = np.flatnonzero(needs_comment)
+        return dict(zip(targets.tolist(), force_comments.texts(b"!", self.comment_forces, targets), strict=True))
 
-    def _first_cuts(self, note_keys: Ints, target_keys: Ints) -> list[int]:
+    def _first_path_targets_of_runs(self, note_keys: Ints, target_keys: Ints) -> list[int]:
         """Return the first straight or circular target of each further run, unless the run has a comment before it.
 
-        The force of the run before does not hold there, see `Program.after`.
+        Several procedures may be the program, each as a run of its own. The force of the run before does not hold in
+        the next one.
 
-        :param note_keys: order of the force comments of the program among the targets; `target_keys`: (K,) of these.
+        :param note_keys: place of each force comment among the moves: 2 · move before the move, 2 · move + 1 in its
+            line; `target_keys`: (K,) the same of the targets.
         """
-        if self.program.after is None:
+        if self.program.after is None:  # one run
             return []
+        # runs begin at the start of the program: no move is before their first
         begins = np.append(np.flatnonzero(self.program.after[1:] < 0) + 1, len(self.moves))
-        rows: list[int] = []
+        targets: list[int] = []
         for begin, end in pairwise(begins.tolist()):
-            cuts = np.flatnonzero(
-                (self.motion_of_target >= begin) & (self.motion_of_target < end) & (self.targets.kind != PTP)
-            )
-            if len(cuts) and not ((note_keys > 2 * begin + 1) & (note_keys <= target_keys[cuts[0]])).any():
-                rows.append(int(cuts[0]))
-        return rows
+            is_in_run = (self.motion_of_target >= begin) & (self.motion_of_target < end)
+            path_targets = np.flatnonzero(is_in_run & (self.targets.kind != PTP))
+            if not len(path_targets):
+                continue
+            has_comment = (note_keys > 2 * begin + 1) & (note_keys <= target_keys[path_targets[0]])
+            if not has_comment.any():
+                targets.append(int(path_targets[0]))
+        return targets
 
     def _add_lines(self, row: int, inserted_rows: range, k: int, forces: dict[int, str]) -> None:
         """Add the lines of inserted targets and of force comments before a move.
@@ -219,12 +230,12 @@ class _Rewriter:
         start = self.moves[row].statement.start
         # index of the last line that begins at or before the statement
         line = int(np.searchsorted(self.starts, start, side="right")) - 1
-        lead = self.text[self.starts[line] : start]
-        indent = lead[: len(lead) - len(lead.lstrip())]
+        text_before = self.text[self.starts[line] : start]  # on the line of the statement
+        indent = text_before[: len(text_before) - len(text_before.lstrip())]
         end = self._line_end(line)
         pieces: list[str] = []
-        targets: list[tuple[int, int]] = []
-        length = 0
+        targets: list[tuple[int, int]] = []  # target → offset of its line in the new text
+        length = 0  # of the new text so far
 
         def add(text: str) -> None:
             """Add a line behind the lines so far."""
@@ -245,14 +256,14 @@ class _Rewriter:
                 "kept right. Use MoveL and SetDO, or raise tolerance_mm so that no targets are needed."
             )
             self.issues.append(Issue("error", "trigger", message, int(self.program.motions.line[row])))
-        if lead.strip():  # another statement is in the line
+        if text_before.strip():  # another statement is in the line
             pieces[:0] = [f"{end}{indent}"]
             targets = [(target, offset + len(pieces[0])) for target, offset in targets]
         if pieces:
             self.edits.append(Edit(start, start, "".join(pieces), tuple(targets)))
 
     def _replace_comment(self, row: int, text: str) -> bool:
-        """Replace the force comment in the line of move `row`; return whether it has one."""
+        """Replace the force comment behind move `row` on its line; return whether it has one."""
         for note, comment in zip(self.program.notes, self.layout.notes, strict=True):
             if comment.is_trailing and note.before == row:
                 self.edits.append(Edit(comment.start, comment.stop, text))
@@ -273,7 +284,7 @@ class _Rewriter:
         form = MOVES[move.statement.name]
         kind = int(self.targets.kind[k])
         positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
-        tail = positional_arguments[form.points :]  # speed, triggers, zone, tool
+        tail = positional_arguments[form.points :]  # behind the targets: speed, triggers, zone, tool
         speed, zone, tool = (self._text_of(tail[index]) for index in (0, 1 + form.before_zone, 2 + form.before_zone))
         options = {argument.name: self._text_of(argument) for argument in move.statement.arguments if argument.name}
         if (value := self._new_speed(row)) is not None:
@@ -378,13 +389,14 @@ class _Rewriter:
         if literal is not None and target.data is None:
             self.edits += self._literal_edits(literal, target, position, quaternion, k)
             return
-        whole = self._target_text(target.numbers, position, k, quaternion)
+        target_text = self._target_text(target.numbers, position, k, quaternion)
+        # PERS keep their values beyond the program: they are not edited
         if literal is None or target.data is None or target.data.kind == "PERS":
-            self.edits.append(Edit(expression.start, expression.stop, whole))
+            self.edits.append(Edit(expression.start, expression.stop, target_text))
             return
         edits = self._literal_edits(literal, target, position, quaternion, k)
-        self.shared.setdefault(literal.start, _SharedData(target, edits, whole))
-        uses.setdefault(literal.start, []).append((expression.start, whole))
+        self.shared.setdefault(literal.start, _SharedData(target, edits=edits, text=target_text))
+        uses.setdefault(literal.start, []).append((expression.start, target_text))
         self.data_arguments[expression.start] = expression
 
     def _rewrite_shared_data(self, uses: dict[int, list[tuple[int, str]]]) -> None:
@@ -396,7 +408,7 @@ class _Rewriter:
         """
         if not uses:
             return
-        mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))
+        mentions = Counter(re.findall(r"[^\W\d]\w*", self.text.upper()))  # name → number of its occurrences in the text
         arguments: dict[int, set[int]] = {}  # offset of a literal → offsets of the arguments that name its data
         name_counts: Counter[str] = Counter()  # name of data → number of arguments of moves that name them
         counted_arguments: set[int] = set()
@@ -409,7 +421,7 @@ class _Rewriter:
                         name_counts[target.data.name] += 1
         for start, texts in uses.items():
             shared_data = self.shared[start]
-            assert shared_data.target.data is not None
+            assert shared_data.target.data is not None  # `_rewrite_point` adds targets with data only
             data_name = shared_data.target.data.name
             has_one_text = len(texts) == len(arguments[start]) and all(text == shared_data.text for _, text in texts)
             has_no_other_use = mentions[data_name] == 1 + name_counts[data_name]  # 1 is the declaration
@@ -432,7 +444,7 @@ class _Rewriter:
         :param quaternion: (4,) new orientation; None: the orientation is unchanged.
         :param k: the new target.
         """
-        spans = self._spans(literal)
+        spans = self._spans(literal)  # of x, y, z, q1…q4, cf1, cf4, cf6, cfx …
         conf = self._configuration(target.numbers, k)
         conf_differs = quaternion is not None and conf != target.numbers[7:11]
         if spans is None or (conf_differs and len(spans) < 11):  # 11: the configuration has spans too
@@ -459,10 +471,11 @@ class _Rewriter:
         if literal.kind == "numbers":
             return [match.span() for match in _NUMBER.finditer(self.text, literal.start, literal.stop)]
         spans: list[tuple[int, int]] = []
-        for part, size in zip(literal.items, (3, 4), strict=False):
-            if part.kind != "list" or len(part.items) != size or any(item.kind != "number" for item in part.items):
+        for component, size in zip(literal.items, (3, 4), strict=False):  # position, orientation
+            items = component.items
+            if component.kind != "list" or len(items) != size or any(item.kind != "number" for item in items):
                 return None
-            spans += [(item.start, item.stop) for item in part.items]
+            spans += [(item.start, item.stop) for item in items]
         if len(literal.items) != 4:
             return None
         conf = literal.items[2]

@@ -56,10 +56,10 @@ _INITIALISATION = (
     "",
 )
 _WORDS = Words(
-    ";",
-    "WAIT SEC {}",
-    "HALT",
-    lambda joints: axis_motion(joints * DEG_PER_RAD, ANGLE_DECIMALS),
+    comment=";",
+    dwell="WAIT SEC {}",
+    halt="HALT",
+    axis_motion=lambda joints: axis_motion(joints * DEG_PER_RAD, ANGLE_DECIMALS),
     wait="WAIT SEC 0",
 )
 _PER_M = 1e6
