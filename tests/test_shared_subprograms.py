@@ -163,6 +163,21 @@ def test_programs_that_each_need_several_copies_of_one_subprogram_are_all_writte
     assert done.exit_code == 0
 
 
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_copies_of_subprograms_whose_names_differ_at_their_ends_only_have_different_names(jobs):
+    names = [f"drill_left_of_the_slots{side}" for side in "AB"]  # 24 characters, the limit
+    for program, name in zip(("hole1", "hole2"), names, strict=True):
+        Path(f"{name}.src").write_text(DRILL.format(calls="").replace("DEF drill", f"DEF {name}"))
+        Path(f"{program}.src").write_text(f"DEF {program}( )\n{START}{name}(10,20)\n{name}(10,90)\nEND\n")
+    run("convert", "hole1.src", "hole2.src", "-o", "out", "--jobs", jobs)
+    visible = [name for path in Path("out").glob("*.src") for name in re.findall(r"GLOBAL DEF (\w+)", path.read_text())]
+    assert len(visible) == len(set(visible)) == 2
+    assert all(name.startswith("drill_left_of_the") and name.endswith("_2") and len(name) == 24 for name in visible)
+    for program in ("hole1", "hole2"):
+        run("convert", f"{program}.src", "-o", f"alone_{program}")
+        assert executed("out", program) == executed(f"alone_{program}", program)
+
+
 def test_parts_of_a_divided_program_call_copies_and_are_not_copied():
     write_drilled(calls_others=False)
     path = Path("hole2.src")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
+from zlib import crc32
 
 from postproc.dialects.krl.language.tokens import NAME
 
@@ -142,11 +143,18 @@ class Names:
         self._next_number: dict[str, int] = {}  # name, upper case → number to try next
 
     def unused_name(self, name: str) -> str:
-        """Return a new name, and add it to `used_names`: `name`, shortened if necessary, with ``_2``, ``_3`` …"""
+        """Return a new name, and add it to `used_names`: `name`, shortened if necessary, with ``_2``, ``_3`` …
+
+        Shortened names differ where the names do, also those for files that are written by different runs: four digits
+        are computed from the whole name.
+        """
         number = self._next_number.get(name.upper(), 2)
         while True:
             tail = f"_{number}"
-            candidate = name[: MAX_LENGTH - len(tail)] + tail
+            candidate = name + tail
+            if len(candidate) > MAX_LENGTH:
+                tail = f"_{crc32(name.upper().encode()) & 0xFFFF:04X}{tail}"
+                candidate = name[: MAX_LENGTH - len(tail)] + tail
             number += 1
             if candidate.upper() not in self.used_names:
                 break
