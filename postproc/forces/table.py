@@ -371,7 +371,9 @@ def target_forces(forces: PathForces, targets: Targets, arrive: Array, wrench: R
     :param arrive: (K, 3) direction of travel at the end of each piece, `$BASE`; (0, 3) without forces in FEED axes.
     :param wrench: (K, 6) wrench at each target [N, N·m], `$BASE` axes.
     """
-    frame = np.where(any_column(wrench.values != 0.0)[wrench.run], _piece_frames(forces, targets), BASE)
+    # a wrench of zero is the same in all axes. `values` are the different wrenches, `run` the row of each target's
+    has_force = any_column(wrench.values != 0.0)[wrench.run]
+    frame = np.where(has_force, _piece_frames(forces, targets), BASE)
     if (frame == BASE).all():
         return TargetForces(wrench, frame)
     values = wrench[:]

@@ -938,8 +938,8 @@ def _rapid_advice(program: Program, motion: Ints) -> str:
 
     :param motion: (n,) rows of these motions, ascending.
     """
-    first = int(motion[0])
-    if first == 0 and program.motions.kind[0] == PTP and not program.keeps_text:
+    first, is_robot_program = int(motion[0]), program.keeps_text
+    if first == 0 and program.motions.kind[0] == PTP and not is_robot_program:
         return (
             "On the way from [start] to the first target all axes move at once (PTP): choose [start] joints with the "
             "tip above the part, or lift the first target"
@@ -987,9 +987,9 @@ def _mill_drilling_issues(program: Program, cuts: Cuts, is_drill: Bools) -> list
 
     :param is_drill: (N,) True at stations of a drill.
     """
-    m = program.motions
+    m, is_robot_program = program.motions, program.keeps_text
     axial_cuts = distinct(cuts.motion[cuts.is_axial & ~is_drill & (cuts.torque > 0.0)])
-    if program.keeps_text or not len(axial_cuts):
+    if is_robot_program or not len(axial_cuts):
         return []
     is_in_cycle = np.isin(m.line[axial_cuts], distinct(m.line[m.rapid]))
     if not is_in_cycle.any():

@@ -225,12 +225,12 @@ def identify(readings: CutReadings, tool: ToolTable, prior: MaterialTable | None
     is_excited = np.abs(system.predictor).max(axis=0) > 1e-9 * np.abs(system.predictor).max()
     _check_separable(chip, system.predictor, system.sigma, is_excited, file)
     prior_coefficients = _prior_coefficients(prior, is_excited, file)
-    freedom = _degrees_of_freedom(system, is_excited, file)
+    degrees_of_freedom = _degrees_of_freedom(system, is_excited, file)
     warnings = [
         *prior_coefficients.warnings,
         *_check_signs(readings, tool, prior_coefficients.value, is_excited, file),
     ]
-    fit = _fit_with_prior(system, prior_coefficients, is_excited, freedom)
+    fit = _fit_with_prior(system, prior_coefficients, is_excited, degrees_of_freedom)
     warnings += fit.warnings
     warnings += reading_checks.check_sizes(fit.value, readings.force, _tangential_coefficient(prior, file), file)
     half_width = 1.96 * np.sqrt(np.diag(fit.covariance))
@@ -277,18 +277,20 @@ class _CoefficientFit(NamedTuple):
     warnings: list[str]
 
 
-def _fit_with_prior(system: _Equations, prior: _PriorCoefficients, is_excited: Bools, freedom: int) -> _CoefficientFit:
+def _fit_with_prior(
+    system: _Equations, prior: _PriorCoefficients, is_excited: Bools, degrees_of_freedom: int
+) -> _CoefficientFit:
     """Return the coefficients by weighted least squares; tangential and radial ones are at least 0.
 
     :param prior: the coefficients that no reading depends on.
     :param is_excited: (6,) True for coefficients that readings depend on.
-    :param freedom: number of readings minus number of fitted coefficients.
+    :param degrees_of_freedom: number of readings minus number of fitted coefficients.
     """
     # the part of the readings that the fitted coefficients must explain
     matrix, fitted_part = system.predictor[:, is_excited], system.readout - system.predictor @ prior.value
     fitted_value, spread = _fit(matrix, fitted_part, system.sigma)
     error = matrix @ fitted_value - fitted_part
-    spread, warnings = _scaled_spread(spread, error, system, freedom)
+    spread, warnings = _scaled_spread(spread, error, system, degrees_of_freedom)
     value = prior.value.copy()
     value[is_excited] = fitted_value
     negative_rows = [k for k in _AT_LEAST_ZERO if value[k] < 0.0]
@@ -344,8 +346,8 @@ def _check_signs(readings: CutReadings, tool: ToolTable, estimate: Array, is_exc
         value, sigma = estimate.copy(), np.zeros(6)
         value[is_excited], spread = _fit(matrix, target, system.sigma)
         error = (matrix @ value[is_excited] - target) / system.sigma
-        freedom = len(target) - matrix.shape[1]
-        spread, _ = _scaled_spread(spread, error * system.sigma, system, freedom)
+        degrees_of_freedom = len(target) - matrix.shape[1]
+        spread, _ = _scaled_spread(spread, error * system.sigma, system, degrees_of_freedom)
         sigma[is_excited] = np.sqrt(np.diag(spread))
         # computed readings have residuals of rounding alone: these do not rank arrangements
         size = float(np.linalg.norm(system.readout / system.sigma))
@@ -405,7 +407,7 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
     return _Equations(predictor, readout, sigma, reading, component, bool(has_sigma.all()))
 
 
-def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int) -> tuple[Array, list[str]]:
+def _scaled_spread(spread: Array, error: Array, system: _Equations, degrees_of_freedom: int) -> tuple[Array, list[str]]:
     """Return the covariance (k, k) of coefficients, scaled by the scatter of the readings, and warnings about it.
 
     If all readings state their standard deviations and scatter no more than these, the covariance remains. Else it is
@@ -414,10 +416,10 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
 
     :param spread: (k, k) covariance if the readings scatter as `system.sigma` says.
     :param error: (m,) residuals of forces [N] and powers [W].
-    :param freedom: number of readings minus number of coefficients.
+    :param degrees_of_freedom: number of readings minus number of coefficients.
     """
     warnings: list[str] = []
-    scale = float(np.sum((error / system.sigma) ** 2)) / freedom
+    scale = float(np.sum((error / system.sigma) ** 2)) / degrees_of_freedom
     factor = 1.96  # half width of a 95 % interval of normal numbers, in standard deviations
     if not system.has_sigma:
         least_scale = _LEAST_SCATTER**2 * float(np.mean((system.readout / system.sigma) ** 2))
@@ -431,7 +433,7 @@ def _scaled_spread(spread: Array, error: Array, system: _Equations, freedom: int
         from scipy.special import stdtrit
 
         spread = spread * scale
-        factor = float(stdtrit(freedom, 0.975))
+        factor = float(stdtrit(degrees_of_freedom, 0.975))
     if system.has_sigma and scale > 2.0:
         warnings.append(
             f"the readings scatter {np.sqrt(scale):.1f} times as much as sigma_N says: the intervals are wider by that"

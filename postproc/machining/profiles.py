@@ -397,8 +397,8 @@ def _is_drilling_cycle(program: Program, path: Segments, column: int, moves: Int
     :param column: column of the tool frame that is along the spindle: 0, 1, 2 for x, y, z.
     :param moves: (k,) cutting motions of the line; `text` of the line.
     """
-    m = program.motions
-    if program.keeps_text or _CALL.search(_COMMENT.sub("", text)):
+    m, is_robot_program = program.motions, program.keeps_text
+    if is_robot_program or _CALL.search(_COMMENT.sub("", text)):
         return False
     rows = np.flatnonzero(m.line == m.line[moves[0]])
     if len(rows) != rows[-1] - rows[0] + 1 or not m.rapid[rows].any():

@@ -61,6 +61,7 @@ def touches(stock: Stock, body: Cutter, begin: Array, end: Array) -> Bools:
         [m].
     """
     is_touching = np.zeros(len(begin), dtype=bool)
+    # cells are compared by their middles: a body that covers any of a cell reaches its middle if it is this much wider
     widened_body = replace(body, radius=body.radius + _HALF_DIAGONAL * stock.cell)
     high, floor = stock.high.reshape(-1), stock.floor.reshape(-1)
     for rows, corner, window in windows(stock, widened_body.radius + stock.cell, begin, end):

@@ -510,6 +510,7 @@ def _level_blocks(heights: Ints, is_filled: Bools, is_moved: Bools) -> Bools:
     :param heights: (4, ny + 1, nx + 1) heights of a surface at each corner, for the four cells around it in a ring.
     :param is_moved: (ny + 1, nx + 1) True for corners that are moved.
     """
+    # heights at the four corners of each cell, which has another place in the ring around each of them
     corners = [heights[2][:-1, :-1], heights[3][:-1, 1:], heights[0][1:, 1:], heights[1][1:, :-1]]
     low, high = np.minimum.reduce(corners), np.maximum.reduce(corners)
     is_fixed = ~(is_moved[:-1, :-1] | is_moved[:-1, 1:] | is_moved[1:, 1:] | is_moved[1:, :-1])

@@ -356,8 +356,19 @@ class Sweep(Struct, eq=False):
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
         is_axial = axis_sine < _AXIAL_SINE
         return Cuts(
-            segments.motion[begin:end], t, wrench, wrench, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero,
-        )  # fmt: skip
+            motion=segments.motion[begin:end],
+            t=t,
+            wrench=wrench,
+            deviation=wrench,
+            is_axial=is_axial,
+            torque=zero,
+            power=zero,
+            enter=no_angle,
+            leave=no_angle,
+            depth=zero,
+            width=zero,
+            rate=zero,
+        )
 
     def _upright_cuts(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         """Yield the loads at stations along segments of tool `number`, in chunks that limit memory.
@@ -470,11 +481,25 @@ class Sweep(Struct, eq=False):
         """
         motion, t, is_axial = stations
         wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
-        wrench[:, [1, 3, 5]] *= hand[:, None]
+        wrench[:, [1, 3, 5]] *= hand[:, None]  # mirrored in y: Fy, Mx and Mz change their signs
         if not cuts.any():
             no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
-            return Cuts(motion, t, wrench, loads.deviation, is_axial, zero, zero, no_angle, no_angle, zero, zero, zero)
+            return Cuts(
+                motion=motion,
+                t=t,
+                wrench=wrench,
+                deviation=loads.deviation,
+                is_axial=is_axial,
+                torque=zero,
+                power=zero,
+                enter=no_angle,
+                leave=no_angle,
+                depth=zero,
+                width=zero,
+                rate=zero,
+            )
         self.has_contact = True
+        # a covariance of the material is in `loads.deviation` already
         material_sigma = self.law.sigma if self.law.covariance is None else 0.0
         for sums, squares in zip(self.cell_error_sums, CellErrors.of(loads, material_sigma), strict=True):
             np.add.at(sums, motion, squares)
@@ -483,9 +508,19 @@ class Sweep(Struct, eq=False):
             depth = np.where(cuts.any(axis=1), hole_depth, 0.0)
         torque = wrench[:, 5] * hand
         return Cuts(
-            motion, t, wrench, loads.deviation, is_axial, torque, torque * rpm * (2.0 * np.pi / 60.0), enter, leave,
-            depth, width, loads.removal * turn.teeth * rpm / 60.0,
-        )  # fmt: skip
+            motion=motion,
+            t=t,
+            wrench=wrench,
+            deviation=loads.deviation,
+            is_axial=is_axial,
+            torque=torque,
+            power=torque * rpm * (2.0 * np.pi / 60.0),
+            enter=enter,
+            leave=leave,
+            depth=depth,
+            width=width,
+            rate=loads.removal * turn.teeth * rpm / 60.0,
+        )
 
     def _engaged_edge(self, turn: Turn, position: Array, axes: tuple[Array, Array, Ints], layer: Floats) -> EngagedEdge:
         """Return the cutting edge in material at n stations.

@@ -157,15 +157,16 @@ def _missing_tool_error(program: Program, process: Process, motion: int, number:
     :param motion: row of the first cut of the tool.
     :param number: T number of the tool; 0 or −1: the program states none.
     """
+    is_robot_program = program.keeps_text
     names = program.tool_keys[program.motions.tool[motion]] if program.tool_keys else ()
     tool_list = ", ".join(f"[tools.{key}]" for key in process.tools) or "none"
     advice = f"Give [tools.default] in {process.path}; found: {tool_list}."
     if names:
         problem = f"no cutter for {' or '.join(program.tool_text(name) for name in names)} in {process.path}"
         advice = f"Give [tools.{names[0]}]; found: {tool_list}."
-    elif program.keeps_text and program.dialect == "rapid":
+    elif is_robot_program and program.dialect == "rapid":
         problem = "no cutter for the tool of this move, which is no tooldata by its name"
-    elif program.keeps_text:
+    elif is_robot_program:
         problem = "no cutter for the $TOOL of this move, which has no number"
     elif number <= 0:  # T0, and M6 without T, name no tool
         problem = "no tool number (T… M6) before this move"
@@ -207,9 +208,9 @@ def shared_cutter_issues(program: Program, tools: ToolStates, engaged_motions: I
 
     :param engaged_motions: (n,) motions that touch material, in order; other motions at feed may only position.
     """
-    m = program.motions
+    m, is_robot_program = program.motions, program.keeps_text
     tool, frame = tools.tool[engaged_motions], m.tool[engaged_motions]
-    if not program.keeps_text:
+    if not is_robot_program:
         return
     for entry in distinct(tool).tolist():
         rows = distinct(frame[tool == entry])
@@ -639,12 +640,12 @@ def home_base(program: Program) -> int:
     G-code: the `$BASE` of the first cutting motion. Robot programs: the one with the greatest length of moves at feed,
     as the first LIN may only position; of equal lengths that of the first cutting motion.
     """
-    m = program.motions
-    first = int(m.base[np.argmax(~m.rapid)])
-    if not program.keeps_text or (m.base[~m.rapid] == first).all():
-        return first
+    m, is_robot_program = program.motions, program.keeps_text
+    first_base = int(m.base[np.argmax(~m.rapid)])
+    if not is_robot_program or (m.base[~m.rapid] == first_base).all():
+        return first_base
     length = _length_by_base(program)
-    return first if length[first] == length.max(initial=0.0) else int(np.argmax(length))
+    return first_base if length[first_base] == length.max(initial=0.0) else int(np.argmax(length))
 
 
 def _length_by_base(program: Program) -> Array:
@@ -661,9 +662,9 @@ def stock_base_issues(program: Program) -> Iterator[Issue]:
 
     It is a note if the moves in all other frames only position, or if the frame is [base] of the cell; else a warning.
     """
-    m = program.motions
+    m, is_robot_program = program.motions, program.keeps_text
     bases = distinct(m.base[~m.rapid])
-    if program.keeps_text and len(bases) > 1:
+    if is_robot_program and len(bases) > 1:
         home, length = home_base(program), _length_by_base(program)
         rows = np.flatnonzero(~m.rapid & (m.base == home))
         message = (

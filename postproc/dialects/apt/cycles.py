@@ -132,7 +132,7 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
         name = str(name)[:-1]
     keeps_height = False
     if "FEDTO" in couplets[0::2] and len(couplets) % 2 == 0:
-        couplets, keeps_height = _normalise_depth(couplets)
+        couplets, keeps_height = _with_depth_words(couplets)
     names, numbers = [str(word) for word in couplets[0::2]], couplets[1::2]
     are_couplets = len(names) == len(numbers) == len(set(names)) and all(isinstance(value, float) for value in numbers)
     values = {word: value for word, value in zip(names, numbers, strict=False) if isinstance(value, float)}
@@ -146,23 +146,25 @@ def cycle_words(words: Sequence[float | str], rates: Sequence[str]) -> CycleWord
     return CycleWords(str(name), heights, feed, keeps_height or heights.get("RETURN") == 0.0)
 
 
-def _normalise_depth(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
+def _with_depth_words(couplets: Sequence[float | str]) -> tuple[list[float | str], bool]:
     """Return a cycle with FEDTO in the words of cycles with DEPTH, and whether the tool returns to its former height.
 
-    Left out are an RTRCTO that repeats RETURN, and a CLEAR with RAPTO and RETURN, which is a coordinate.
+    FEDTO is the depth of the hole, as a height below zero (Siemens NX) or a depth above zero (SolidWorks CAM).
+    ``RTRCTO,AUTO`` returns to the height before the hole. Left out are an RTRCTO that repeats RETURN, and a CLEAR with
+    RAPTO and RETURN, which is a coordinate (CAMplete).
 
     :param couplets: word, value, word, value …
     """
-    automatic = ("RTRCTO", "AUTO")
+    automatic_retract = ("RTRCTO", "AUTO")
     pairs = list(zip(couplets[0::2], couplets[1::2], strict=True))
-    stated = dict(pairs)
-    if "RETURN" in stated and stated.get("RTRCTO") == stated["RETURN"]:
-        pairs.remove(("RTRCTO", stated["RETURN"]))
-    if {"RAPTO", "RETURN", "CLEAR"} <= set(stated):
+    value_of_word = dict(pairs)
+    if "RETURN" in value_of_word and value_of_word.get("RTRCTO") == value_of_word["RETURN"]:
+        pairs.remove(("RTRCTO", value_of_word["RETURN"]))
+    if {"RAPTO", "RETURN", "CLEAR"} <= set(value_of_word):
         pairs = [(word, value) for word, value in pairs if word != "CLEAR"]
     new_couplets: list[float | str] = []
     for word, value in pairs:
-        if (word, value) != automatic:
+        if (word, value) != automatic_retract:
             is_depth = word == "FEDTO" and isinstance(value, float)
             new_couplets += [_EQUIVALENT_WORDS.get(str(word), word), abs(value) if is_depth else value]  # type: ignore[arg-type]
-    return new_couplets, automatic in pairs
+    return new_couplets, automatic_retract in pairs

@@ -159,6 +159,11 @@ class _Executor:
         self.partno_row = -1
         self.has_path_ended = False
 
+    @property
+    def has_ended(self) -> bool:
+        """Whether FINI or END has been executed."""
+        return self.end_row >= 0
+
     def run(self) -> ExecutionResult:
         """Execute all statements in order, and return the result.
 
@@ -169,7 +174,7 @@ class _Executor:
         for row in statements.other_rows.tolist():
             self._run_plain_gotos(next_row, row)
             next_row = row + 1
-            if self.end_row >= 0 or len(result.faults) > MAX_ERRORS:
+            if self.has_ended or len(result.faults) > MAX_ERRORS:
                 break
             try:
                 self._execute(row, statements.of(row))
@@ -196,7 +201,7 @@ class _Executor:
         last statement, or there are faults.
         """
         statements, result = self.statements, self.result
-        if self.end_row >= 0:
+        if self.has_ended:
             other_rows = [
                 row for row in statements.other_rows.tolist() if row > self.end_row and statements.of(row) != "FINI"
             ]
@@ -218,7 +223,7 @@ class _Executor:
         statements = self.statements
         # `goto_rows` ascend: indices of the first one in the range, and behind the last
         first, last = np.searchsorted(statements.goto_rows, [begin, end]).tolist()
-        if first < last and self.end_row < 0:
+        if first < last and not self.has_ended:
             self.has_path_ended = False
             try:
                 self._add_gotos(statements.goto_rows[first:last], statements.numbers[first:last])

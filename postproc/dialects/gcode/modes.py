@@ -663,7 +663,7 @@ class _Reader:
         if homing is not None:
             return f"G28{homing[1]}"
         if command in _GRBL_WITHOUT_MOTION:
-            name = "?" if command == "$?" else command
+            name = "?" if command == "$?" else command  # `words.split` makes $? of a line with ? alone
             message = f"{name} is a command to Grbl: it moves nothing."
             self._add_remark("info", "sender-command", message, row)
             return ""

@@ -366,7 +366,8 @@ class _MoveBuilder:
         words = self.lines.rotary[begin:end]
         end_angles = np.empty((end - begin, len(self.angles)))
         for axis, angle in enumerate(self.angles.tolist()):
-            if self.lines.is_incremental[begin] and len(self.angles) != COMPONENTS:  # directions are never incremental
+            # three "angles" are the components of the direction of the tool (G43.5), which are never incremental
+            if self.lines.is_incremental[begin] and len(self.angles) != COMPONENTS:
                 end_angles[:, axis] = np.cumsum(np.append(angle, np.nan_to_num(words[:, axis])))[1:]
             else:
                 end_angles[:, axis] = carry_forward(words[:, axis], angle)
@@ -449,6 +450,7 @@ class _MoveBuilder:
         """
         lines = self.lines
         columns = dict(zip("UVZ", lines.xyz[row][axes].tolist(), strict=True))
+        # `turns` has P: the turns of an arc, but the dwell of a cycle
         columns |= {"R": lines.radius[row], "P": lines.turns[row], "Q": lines.pecks[row], "L": lines.repeats[row]}
         words = {letter: float(value) for letter, value in columns.items() if not np.isnan(value)}
         if "P" in words and lines.motion[row] in DWELLING:

@@ -95,7 +95,8 @@ def _read(
 ) -> Program:
     """Read a document. If its only faults are arcs whose radii disagree, read it once more with absolute centres.
 
-    If that fails too, the faults of the first reading are raised.
+    Some posts write I, J, K as coordinates, as after G90.1, and do not state it. If the second reading fails too, the
+    faults of the first one are raised.
 
     :param bulk: read plain motion blocks together, else each block by pygcode (for tests).
     :raises InputError: the program has faults, see `read`.
