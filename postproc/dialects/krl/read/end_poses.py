@@ -64,7 +64,7 @@ class TextTargets(Struct, frozen=True, eq=False):
     """M targets as the text gives them.
 
     :param trace: the execution trace, for messages.
-    :param line: (M,) rows of the motions in the trace, from 1.
+    :param trace_row: (M,) rows of the motions in the trace, from 1.
     :param numbers: (M, 6) X, Y, Z [mm], A, B, C [deg] in `$BASE`, NaN where missing; NaN for axis and relative targets.
         `end_poses` completes them in place.
     :param frames: frames of the motions.
@@ -75,7 +75,7 @@ class TextTargets(Struct, frozen=True, eq=False):
     """
 
     trace: Trace
-    line: Ints
+    trace_row: Ints
     numbers: Array
     frames: FrameColumns
     statements: Mapping[int, MotionStatement]
@@ -112,8 +112,8 @@ class EndPoses(Struct, frozen=True, eq=False):
 class _RobotPosition(Struct, eq=False):
     """Robot position between two motions.
 
-    :ivar flange: (4, 4) in the robot root [m]; out of date after a Cartesian target, see `_Follower.flange`.
-    :ivar joints: (6,) [rad]; None after a Cartesian target.
+    :ivar flange: (4, 4) in the robot root [m]; out of date after a Cartesian target, see `_TargetCompleter.flange`.
+    :ivar joints: (6,) [rad]; None after a Cartesian target, since the reader does not solve the inverse kinematics.
     :ivar numbers: (6,) X…C of the previous target [mm, deg]; None after an axis target, and at the start.
     :ivar base: row of the `$BASE` of the previous target; `tool` is the row of its `$TOOL`.
     """
@@ -125,7 +125,7 @@ class _RobotPosition(Struct, eq=False):
     tool: int = 0
 
 
-class _Follower:
+class _TargetCompleter:
     """Completes the targets of motions in order: plain ones in bulk, special ones one by one.
 
     :param targets: completed in place.
@@ -142,9 +142,9 @@ class _Follower:
     ) -> None:
         """Begin before the first motion."""
         self.targets, self.robot_position, self.kinematics = targets, robot_position, kinematics
-        self.trace, self.line, self.control, self.numbers = (
+        self.trace, self.trace_row, self.control, self.numbers = (
             targets.trace,
-            targets.line,
+            targets.trace_row,
             targets.control,
             targets.numbers,
         )
@@ -197,11 +197,12 @@ class _Follower:
         """Fill in missing components of the absolute targets of rows first … last − 1 from the targets before them.
 
         A running maximum of row numbers finds, for each component, the latest row that gives it. What the first row
-        lacks is taken from the present position. The last target becomes the present position.
+        lacks is taken from the present position, where the motion before has ended. The last target becomes the present
+        position.
 
         :raises ProgramError: as for `complete_absolute_targets`.
         """
-        block = self.numbers[first:last]
+        block = self.numbers[first:last]  # (n, 6), a view: it is filled in in place
         is_missing = np.isnan(block)
         if is_missing.any():
             self._check_frames(first, last, any_column(is_missing))
@@ -232,7 +233,7 @@ class _Follower:
             angle = previous_b[uncertain_rows[0]]
             problem = f"A, B or C is missing, and the previous B is {angle:g}°: beyond 90° it is not certain"
             problem += " which angles the controller keeps"
-            raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), "Write all of A, B, C.")
+            raise self.trace.error(problem, int(self.trace_row[first + uncertain_rows[0]]), "Write all of A, B, C.")
 
     def _check_frames(self, first: int, last: int, incomplete: Bools) -> None:
         """Refuse missing components right after a change of frames: the previous values refer to other frames.
@@ -252,9 +253,9 @@ class _Follower:
         uncertain_rows = np.flatnonzero(has_changed & incomplete)
         if len(uncertain_rows):
             problem = "components are missing right after $BASE or $TOOL changed: the values they keep are not certain"
-            raise self.trace.error(problem, int(self.line[first + uncertain_rows[0]]), _FRAME_ADVICE)
+            raise self.trace.error(problem, int(self.trace_row[first + uncertain_rows[0]]), _FRAME_ADVICE)
 
-    def follow_special_motion(self, row: int, move: MotionStatement | None) -> None:
+    def complete_special_target(self, row: int, move: MotionStatement | None) -> None:
         """Complete the target of one of the `_special_rows`, and make it the present position.
 
         :param row: row of the motion.
@@ -262,7 +263,7 @@ class _Follower:
         :raises ProgramError: the target is not certain, or the points of a circle do not define a circle.
         """
         if move is not None and move.end.position.is_axis:
-            self._follow_axis_target(row, move)
+            self._complete_axis_target(row, move)
             return
         start, control = self.present_numbers(row).copy(), self.control  # a copy: the array may be changed below
         if move is not None and move.relative_axes:
@@ -295,7 +296,7 @@ class _Follower:
         # auxiliary point [mm] of a relative or another circle; missing components are those of the start
         via = self.circles[row][0] if row in self.circles else self.control.via[row]
         via = np.where(np.isnan(via), begin, via * M_PER_MM)
-        arcs = circle_geometry(self.trace, self.line[row : row + 1], begin[None], via[None], end[None])
+        arcs = circle_geometry(self.trace, self.trace_row[row : row + 1], begin[None], via[None], end[None])
         axis = arcs.axis[0]
         if angle is not None:
             self.numbers[row, :3] = MM_PER_M * rotated_point(begin, arcs.centre[0], axis, angle)
@@ -304,7 +305,7 @@ class _Follower:
             pose[:3, :3] = rotation_from_vector(axis * (arcs.angle[0] if angle is None else angle)) @ pose[:3, :3]
             self.numbers[row, 3:] = xyzabc_from_pose(pose)[3:]
 
-    def _follow_axis_target(self, row: int, move: MotionStatement) -> None:
+    def _complete_axis_target(self, row: int, move: MotionStatement) -> None:
         """Complete an axis target, in which missing axes keep their angles, and make it the present position.
 
         :param row: row of the motion; `move` is its statement.
@@ -388,13 +389,13 @@ def end_poses(
         start_flange = flange_on_track(start_flange, targets.carriage, float(targets.carriage.begin[0]))
     programmed_angles, is_incomplete = numbers[keeps_orientation, 3:], any_column(np.isnan(numbers[:, 3:]))
     numbers[keeps_orientation, 3:] = np.nan  # #CONSTANT: filled in from the previous target, as missing components are
-    follower = _Follower(targets, _RobotPosition(start_flange, start_joints), kinematics)
+    completer = _TargetCompleter(targets, _RobotPosition(start_flange, start_joints), kinematics)
     row = 0
     for special_row in _special_rows(targets):
-        follower.complete_absolute_targets(row, special_row)
-        follower.follow_special_motion(special_row, targets.statements.get(special_row))
+        completer.complete_absolute_targets(row, special_row)
+        completer.complete_special_target(special_row, targets.statements.get(special_row))
         row = special_row + 1
-    follower.complete_absolute_targets(row, len(numbers))
+    completer.complete_absolute_targets(row, len(numbers))
 
     pose = poses_from_xyzabc(numbers)
     start = Starts.of(targets.frames, pose.__getitem__, start_flange, predecessors)
@@ -406,11 +407,11 @@ def end_poses(
     return EndPoses(
         numbers=numbers,
         pose=pose,
-        joints=Runs.from_rows(numbers.shape, follower.joints),
+        joints=Runs.from_rows(numbers.shape, completer.joints),
         start=start,
-        starts_from_joints=follower.starts_from_joints,
+        starts_from_joints=completer.starts_from_joints,
         ignores_orientation=is_ignored,
-        circles=follower.circles,
+        circles=completer.circles,
     )
 
 
@@ -454,15 +455,15 @@ def _check_ignored(targets: TextTargets, is_incomplete: Bools, is_ignored: Bools
         raise targets.trace.error(
             "A, B, C are missing behind targets under $ORI_TYPE=#CONSTANT whose own A, B, C were ignored: which of "
             "them stay is not certain",
-            int(targets.line[rows[0]]),
+            int(targets.trace_row[rows[0]]),
             "Write all of A, B, C in this target.",
         )
 
 
-def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Array) -> Arcs:
+def circle_geometry(trace: Trace, trace_row: Ints, start: Array, via: Array, end: Array) -> Arcs:
     """Return n arcs, each through three points in `$BASE`.
 
-    :param line: (n,) rows of the circles in the trace, from 1, for messages.
+    :param trace_row: (n,) rows of the circles in the trace, from 1, for messages.
     :param start: (n, 3) start points [m].
     :param via: (n, 3) points between start and end [m].
     :param end: (n, 3) end points [m].
@@ -472,7 +473,7 @@ def circle_geometry(trace: Trace, line: Ints, start: Array, via: Array, end: Arr
     if is_flat.any():
         raise trace.error(
             "the three points of the circle lie on a line or coincide",
-            int(line[np.argmax(is_flat)]),
+            int(trace_row[np.argmax(is_flat)]),
             "Choose an auxiliary point well between start and end; for a full circle give CA.",
         )
     return Arcs(centre, axis, angle)

@@ -146,7 +146,7 @@ class Flow:
                         Place(source, level.jump_line), "GOTO leads to a label in a loop", _JUMP_IN_LOOP_ADVICE
                     )
                 level.jump_line = 0
-                recorder.record_passed_lines(line - 1, is_live=False)
+                recorder.record_passed_lines(line - 1, is_executed=False)
                 return number
         return len(nodes)
 
@@ -358,13 +358,13 @@ class Flow:
         Values of variables and settings are not restored: to copy all of them for each call would take too long.
         """
         run, entered_calls = self.run, self.interpreter.calls.entered_calls
-        counts, mark, position = run.finding_counts(), recorder.mark(), run.position()
+        counts, recorder_state, position = run.finding_counts(), recorder.state(), run.position()
         call_count, depth = len(entered_calls), len(self._enclosing)
 
         def undo() -> None:
             """Restore the findings, the position in the program, the trace and the open calls."""
             run.drop_findings(counts)
-            recorder.return_to(mark)
+            recorder.return_to(recorder_state)
             run.return_to(position)
             del entered_calls[call_count:], self._enclosing[depth:]
 
@@ -387,7 +387,7 @@ class Flow:
         self._enclosing.pop()
         if not level.return_line:  # it has run to its END
             recorder.record_run_lines(routine.last - 1)
-        recorder.record_passed_lines(routine.last - 1, is_live=False)
+        recorder.record_passed_lines(routine.last - 1, is_executed=False)
         self.interpreter.calls.leave_routine()
         recorder.leave_routine()
 
@@ -499,12 +499,12 @@ class Flow:
         recorder.record_run_lines(block.first - 1)
         recorder.record_passed_lines(block.first)
         if part is not None:
-            recorder.record_passed_lines(part.head - 1, is_live=False)
+            recorder.record_passed_lines(part.head - 1, is_executed=False)
             recorder.record_passed_lines(part.head)
             self.follow(source, part.nodes)
             if not self.run.level.is_broken_off:
                 recorder.record_run_lines(part.end - 1)
-        recorder.record_passed_lines(block.last - 1, is_live=False)
+        recorder.record_passed_lines(block.last - 1, is_executed=False)
         recorder.record_passed_lines(block.last)
 
     def _follow_branches(

@@ -126,7 +126,7 @@ def _execution(start: Start, *, collects: bool) -> tuple[Execution, CollectedMot
         raise _jump_error(main, flow, run.level.jump_line)
     if not run.level.return_line:  # the lines up to END run
         recorder.record_run_lines(main.last - 1)
-    recorder.record_passed_lines(main.last - 1, is_live=False)
+    recorder.record_passed_lines(main.last - 1, is_executed=False)
     execution = _with_used_names(recorder.execution(run.unfollowed_routines), start)
     has_all_motions = run.is_final and recorder.is_final and not settings.lacked_numbers
     has_open_part = collected_motions.splines.open_block is not None or bool(run.level.open_structures)
@@ -250,6 +250,9 @@ def _note_submit_programs(run: Run) -> None:
 class TraceFollower:
     """Follows the execution trace of a program through the lines that are not plain motions.
 
+    The execution trace: the lines of the program in the order in which they are executed, as rows from 1. Plain motions
+    and plain settings are lines of the common form, which are read in bulk.
+
     :param collected_motions: the motions of the program if its statements have run; else an empty collection.
     :param execution: the execution trace.
     :param plain: the plain lines, or plain rows of the trace.
@@ -274,10 +277,10 @@ class TraceFollower:
         self._errors: list[ProgramError] = []
         self._faulty_names: set[str] = set()  # variables whose statements had errors
         self.rounds: list[ElementMotions] = []
-        self._plain_motion_lines, self._plain_settings = plain.motion_lines, plain.settings
+        self._plain_motion_rows, self._plain_settings = plain.motion_lines, plain.settings
 
     @cached_property
-    def _plain_setting_lines(self) -> list[int]:
+    def _plain_setting_rows(self) -> list[int]:
         """Rows of the trace with plain settings, in order."""
         lines: list[int] = self._plain_settings.line.tolist()
         return lines
@@ -285,10 +288,10 @@ class TraceFollower:
     @cached_property
     def _is_other_row(self) -> Bools:
         """(L,) True for the rows of the trace that are not plain."""
-        return is_not_plain(len(self.run.trace), self._plain_motion_lines, self._plain_settings)
+        return is_not_plain(len(self.run.trace), self._plain_motion_rows, self._plain_settings)
 
     @cached_property
-    def _trigger_lines(self) -> frozenset[int]:
+    def _trigger_rows(self) -> frozenset[int]:
         """Rows of the trace with TRIGGER statements; to be read when all statements have run."""
         return frozenset(self.run.triggers)
 
@@ -298,9 +301,9 @@ class TraceFollower:
         return self.execution.plain_rounds()
 
     @cached_property
-    def _other_lines(self) -> Sequence[int]:
+    def _other_rows(self) -> Sequence[int]:
         """The rows of the trace that have code and are neither plain nor in plain rounds."""
-        return self.run.routine.other_lines if self.execution.is_straight else self._lines_outside_rounds()
+        return self.run.routine.other_lines if self.execution.is_straight else self._rows_outside_rounds()
 
     def follow(self, faults: Sequence[ProgramError]) -> None:
         """Run the statements of the execution trace in order: collect motions, settings and errors.
@@ -344,23 +347,23 @@ class TraceFollower:
             return [source.line_error(f"{word} is not closed", line, "Check that the file is complete.")]
         return []
 
-    def _lines_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
+    def _rows_of_step(self, step: Lines | UnresolvedStructure) -> tuple[Sequence[int], Sequence[int]]:
         """Return the rows of a step that are not plain, and the rows of its plain settings, both ascending."""
-        lines, setting_lines = self._other_lines, self._plain_setting_lines  # both ascend
-        step_settings = setting_lines[bisect_left(setting_lines, step.first) : bisect_right(setting_lines, step.last)]
-        return lines[bisect_left(lines, step.first) : bisect_right(lines, step.last)], step_settings
+        rows, setting_rows = self._other_rows, self._plain_setting_rows  # both ascend
+        settings_in_step = setting_rows[bisect_left(setting_rows, step.first) : bisect_right(setting_rows, step.last)]
+        return rows[bisect_left(rows, step.first) : bisect_right(rows, step.last)], settings_in_step
 
     def _split_settings(self) -> dict[Lines, Sequence[int]]:
         """Return step → rows of the step that are run one by one, for steps that are `Lines`.
 
-        Plain settings outside of control structures are not run: they become `Settings.plain_assignments`, which come
-        into force at their rows.
+        A plain setting is an assignment of a number to a speed or a distance, read in bulk. Those outside of control
+        structures are not run: they become `Settings.plain_assignments`, which come into force at their rows.
         """
         step_rows: dict[Lines, Sequence[int]] = {}
         is_free_row = np.zeros(len(self.run.trace) + 1, dtype=np.bool_)  # outside of control structures; rows from 1
         for step in self.execution.steps:
             if isinstance(step, Lines):
-                step_rows[step], free_rows = _split_plain_settings(self.run.trace, *self._lines_of_step(step))
+                step_rows[step], free_rows = _split_plain_settings(self.run.trace, *self._rows_of_step(step))
                 is_free_row[free_rows] = True
         settings = self._plain_settings
         is_free = is_free_row[settings.line]
@@ -394,7 +397,7 @@ class TraceFollower:
         """Take all plain rounds of a FOR at once if that is possible, else run their rows one by one."""
         take_rounds = self._take_computed_rounds if rounds.body.is_computed else self._take_element_rounds
         if not take_rounds(rounds):
-            self._follow_lines(np.arange(rounds.first, rounds.stop_row), rounds)
+            self._follow_rows(np.arange(rounds.first, rounds.stop_row), rounds)
 
     def _take_computed_rounds(self, rounds: PlainRounds) -> bool:
         """Take all rounds of a FOR that computes its targets at once; return False if that is not possible."""
@@ -404,9 +407,9 @@ class TraceFollower:
         for move in moves:
             self.motions.add(move, self.run.settings.state)
         assignment_rows = map(rounds.rows_of_statement, (rounds.head, *rounds.body.assignments))
-        # only what the first and the last round assign can be seen before and after the loop
+        # the first round shows errors, the last leaves its values: assignments of all others have no effect
         end_rows = [rows[index] for rows in assignment_rows for index in (0, -1)]
-        self._follow_lines(np.sort(np.array(end_rows)), rounds)
+        self._follow_rows(np.sort(np.array(end_rows)), rounds)
         return True
 
     def _take_element_rounds(self, rounds: PlainRounds) -> bool:
@@ -421,7 +424,7 @@ class TraceFollower:
         trigger_rows = [rounds.rows_of_statement(line) for line in rounds.body.triggers]
         trigger_count = len(run.triggers)
         last_round = rounds.stop_row - rounds.length  # row that sets the counter for the last round
-        self._follow_lines(np.array([rounds.first, last_round, *(rows[-1] for rows in trigger_rows)]), rounds)
+        self._follow_rows(np.array([rounds.first, last_round, *(rows[-1] for rows in trigger_rows)]), rounds)
         if trigger_rows:  # triggers of the last round alone have been run: note those of all rounds
             run.triggers[trigger_count:] = np.sort(np.concatenate(trigger_rows)).tolist()
         return True
@@ -445,7 +448,7 @@ class TraceFollower:
         if isinstance(stmt, For) and stmt.counter is not None:
             self._flow.set_counter(place, stmt.counter, number)
 
-    def _follow_lines(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
+    def _follow_rows(self, lines: Ints, rounds: PlainRounds | None = None) -> None:
         """Run some rows of the trace, without rows that are plain or have no code.
 
         :param lines: (n,) the rows, in order.
@@ -455,7 +458,7 @@ class TraceFollower:
             self.run.settings.apply_assignments_before(line)
             self._follow_node(line, None if rounds is None else rounds.counter_value(line))
 
-    def _lines_outside_rounds(self) -> list[int]:
+    def _rows_outside_rounds(self) -> list[int]:
         """Return the rows of the trace that have code and are neither plain nor in plain rounds."""
         is_other = self._is_other_row.copy()
         for rounds in self._plain_rounds:
@@ -502,7 +505,7 @@ class TraceFollower:
             source, line = trace.place(row)
             start, stop = source.code_span(line)
             has_code = start < stop or trace.is_counter_row[row - 1]  # the latter: the row sets the counter of a FOR
-            if has_code and row not in self._trigger_lines:
+            if has_code and row not in self._trigger_rows:
                 return False
         return True
 
@@ -526,17 +529,17 @@ class TraceFollower:
             self.run.join_branches(self.run.trace.place(step.row), is_exhaustive=step.is_exhaustive)
 
     def _pass_structure(self, step: UnresolvedStructure) -> None:
-        """Pass over a control structure whose branch taken is not known.
+        """Pass over a control structure whose branch taken is not known before run time.
 
         Variables that it may write become unknown, and its motions stay uncorrected.
         """
         run = self.run
-        lines, setting_lines = self._lines_of_step(step)
+        lines, setting_lines = self._rows_of_step(step)
         for node in nodes_of(run.trace, sorted([*lines, *setting_lines])):
             if isinstance(node, Block):
                 place = run.go_to_row(node.first)
                 self._flow.follow_roughly(place.source, node.shifted(-run.shift))
-        motion_lines = self._plain_motion_lines  # ascending
+        motion_lines = self._plain_motion_rows  # ascending
         first, stop = np.searchsorted(motion_lines, [step.first, step.last + 1])
         run.unresolved_motions += [(line, step.reason) for line in motion_lines[first:stop].tolist()]
         run.unresolved_motions = [*dict(run.unresolved_motions).items()]  # the last reason for each line

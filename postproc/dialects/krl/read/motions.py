@@ -240,7 +240,7 @@ def _text_targets(
     is_missing[relative_rows] = False
     targets = TextTargets(
         trace=trace,
-        line=columns.trace_row,
+        trace_row=columns.trace_row,
         numbers=columns.numbers,
         frames=_frame_columns(settings, motion_states),
         statements=moves,
@@ -658,7 +658,7 @@ def _check_turns(
         row = circles.rows.item(index)
         settings.refuse_uncertain(motion_states.at(row), ["auxiliary"])  # raises if the mode is not known
         is_led_through = bool(orientations.is_led_through[index])
-        raise other_rotation_error(targets.trace, targets.line.item(row), is_led_through=is_led_through)
+        raise other_rotation_error(targets.trace, targets.trace_row.item(row), is_led_through=is_led_through)
 
 
 def _circles(trace: Trace, columns: MotionColumns, circle_rows: Ints, ends: EndPoses, text_ends: Array) -> Circles:
@@ -697,14 +697,14 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
     :param circle_rows: (n,) rows of these circles.
     :raises ProgramError: the orientation or E1 changes on such a circle.
     """
-    trace, line, control, carriage = targets.trace, targets.line, targets.control, targets.carriage
+    trace, trace_row, control, carriage = targets.trace, targets.trace_row, targets.control, targets.carriage
     start, end = ends.start.at(circle_rows)[:, :3, :3], ends.pose[circle_rows, :3, :3]
     is_turning = control.turns_with_path[circle_rows] | ~same_orientation(start, end)
     is_turning &= ~control.keeps_orientation[circle_rows]
     if is_turning.any():
         raise trace.error(
             "the orientation changes on a circle with CA: where it is reached is not certain",
-            int(line[circle_rows[is_turning]][0]),
+            int(trace_row[circle_rows[is_turning]][0]),
             "Give the end of the arc as its end point, without CA, or use $ORI_TYPE=#CONSTANT.",
         )
     if carriage is None:
@@ -713,7 +713,7 @@ def _check_circular_angles(targets: TextTargets, circle_rows: Ints, ends: EndPos
     if is_travelling.any():
         raise trace.error(
             "E1 moves along a circle with CA: where it reaches its end is not certain",
-            int(line[circle_rows[is_travelling]][0]),
+            int(trace_row[circle_rows[is_travelling]][0]),
             "Give the end of the arc as its end point, without CA, or move E1 in a motion of its own.",
         )
 

@@ -1,4 +1,8 @@
-"""Records the execution trace, line by line, while a program is followed."""
+"""Records the execution trace, line by line, while a program is followed.
+
+The execution trace: the lines of the program in the order in which they are executed, as rows from 1. Loops are
+unrolled in it, and called routines inlined.
+"""
 
 from __future__ import annotations
 
@@ -36,24 +40,24 @@ from postproc.program import Document
 class _OpenRoutine(Struct, eq=False):
     """A routine of the trace that has not ended yet.
 
-    :ivar cursor: first line of the routine that is not recorded yet.
+    :ivar next_line: first line of the routine that is not recorded yet.
     :ivar reported_line: line of the `.src` to report for all lines of the routine; 0: each line itself.
     :ivar bodies: body of the routine, and bodies of its loops that have not ended, the innermost last.
     """
 
     source: Source
-    cursor: int
+    next_line: int
     reported_line: int
     bodies: list[Body] = []
 
 
-class _Piece(NamedTuple):
+class _LineRange(NamedTuple):
     """Consecutive rows of the trace that are consecutive lines of one file.
 
     :ivar file_number: index of the file in the files of the trace.
     :ivar first: line of the first row; `last` is the line of the last row.
     :ivar reported_line: line of the `.src` to report for all rows; 0: the line of each row itself.
-    :ivar is_live: True if the rows run.
+    :ivar is_executed: True if the rows run.
     :ivar for_line: line of the FOR whose counter the only row sets; 0 for rows that are lines of the file.
     """
 
@@ -61,20 +65,20 @@ class _Piece(NamedTuple):
     first: int
     last: int
     reported_line: int
-    is_live: bool
+    is_executed: bool
     for_line: int = 0
 
 
-class Mark(NamedTuple):
+class RecorderState(NamedTuple):
     """The state of a recorder, for `Recorder.return_to`.
 
     :ivar row_count: number of rows. The next five are the lengths of the lists and dictionaries of the recorder.
     :ivar last_step: the last step, which later rows may extend; None without steps.
-    :ivar open_routines: for each open routine its cursor, number of bodies, and number of parts of each body.
+    :ivar open_routines: for each open routine its next line, number of bodies, and number of structures in each body.
     """
 
     row_count: int
-    piece_count: int
+    range_count: int
     step_count: int
     assignment_count: int
     inlined_count: int
@@ -101,12 +105,12 @@ class Recorder:
         self.may_call_originals = False
         self.is_final = True
         self._sources: dict[Source, int] = {main.source: 0}
-        self._pieces: list[_Piece] = []
+        self._line_ranges: list[_LineRange] = []
         self._steps: list[Step] = []
         self._counter_values: list[tuple[int, int]] = []  # row that sets the counter of a FOR, and the number
         self._inlined: dict[Routine, None] = {}  # inlined routines and their files, as ordered sets
         self._files: dict[Document, None] = {}
-        self._record_lines(main.source, 1, main.first, 0, is_live=False)
+        self._record_lines(main.source, 1, main.first, 0, is_executed=False)
         self.body = Body(self.row_count + 1)
         self._open_routines = [_OpenRoutine(main.source, main.first + 1, 0, [self.body])]
 
@@ -118,21 +122,23 @@ class Recorder:
             main `.src`.
         """
         open_routine = self._open_routines[-1]
-        next_row = self.row_count + 1  # that of line `cursor`
-        return next_row - open_routine.cursor, open_routine.reported_line or line
+        next_row = self.row_count + 1  # that of line `next_line`
+        return next_row - open_routine.next_line, open_routine.reported_line or line
 
     def record_run_lines(self, line: int) -> None:
         """Record the lines of the present routine up to `line` that are not recorded yet, as lines that run."""
         first_row = self.row_count + 1
-        if self._record_up_to(line, is_live=True):
+        if self._record_up_to(line, is_executed=True):
             self._add_lines_step(first_row)
 
-    def record_passed_lines(self, line: int, *, is_live: bool = True) -> None:
+    def record_passed_lines(self, line: int, *, is_executed: bool = True) -> None:
         """Record the lines of the present routine up to `line` that are not recorded yet, as rows outside of all steps.
 
-        :param is_live: True for lines that control execution; False for lines that do not run.
+        Their statements are not followed again along the trace: they control execution, or do not run.
+
+        :param is_executed: True for lines that control execution; False for lines that do not run.
         """
-        self._record_up_to(line, is_live=is_live)
+        self._record_up_to(line, is_executed=is_executed)
 
     def record_unresolved(self, line: int, cause: ProgramError) -> None:
         """Record the lines of a control structure, up to its last line `line`, that is left uncorrected.
@@ -140,7 +146,7 @@ class Recorder:
         :param cause: why the branch taken is not known before run time.
         """
         first_row = self.row_count + 1
-        self._record_up_to(line, is_live=True)
+        self._record_up_to(line, is_executed=True)
         self._steps.append(UnresolvedStructure(first_row, self.row_count, cause))
         self.may_call_originals = True
         self.is_final = False
@@ -150,57 +156,57 @@ class Recorder:
         self._steps.append(replace(step, row=self.row_count))
         self.is_final = False
 
-    def mark(self) -> Mark:
+    def state(self) -> RecorderState:
         """Return the present state of the recorder, for `return_to`."""
-        return Mark(
+        return RecorderState(
             row_count=self.row_count,
-            piece_count=len(self._pieces),
+            range_count=len(self._line_ranges),
             step_count=len(self._steps),
             assignment_count=len(self._counter_values),
             inlined_count=len(self._inlined),
             file_count=len(self._files),
             last_step=self._steps[-1] if self._steps else None,
             open_routines=[
-                (routine.cursor, len(routine.bodies), [len(body.loops_and_calls) for body in routine.bodies])
+                (routine.next_line, len(routine.bodies), [len(body.loops_and_calls) for body in routine.bodies])
                 for routine in self._open_routines
             ],
         )
 
-    def return_to(self, mark: Mark) -> None:
-        """Drop everything recorded since a `mark`; `is_final` stays False from then on."""
+    def return_to(self, state: RecorderState) -> None:
+        """Drop everything recorded since an earlier `state`; `is_final` stays False from then on."""
         self.is_final = False
-        self.row_count = mark.row_count
-        for routine in list(self._inlined)[mark.inlined_count :]:
+        self.row_count = state.row_count
+        for routine in list(self._inlined)[state.inlined_count :]:
             del self._inlined[routine]
-        for document in list(self._files)[mark.file_count :]:
+        for document in list(self._files)[state.file_count :]:
             del self._files[document]
         del (
-            self._pieces[mark.piece_count :],
-            self._steps[mark.step_count :],
-            self._counter_values[mark.assignment_count :],
+            self._line_ranges[state.range_count :],
+            self._steps[state.step_count :],
+            self._counter_values[state.assignment_count :],
         )
-        if mark.last_step is not None:  # later rows may have extended it
-            self._steps[-1] = mark.last_step
-        del self._open_routines[len(mark.open_routines) :]
-        for open_routine, (cursor, body_count, part_counts) in zip(
-            self._open_routines, mark.open_routines, strict=True
+        if state.last_step is not None:  # later rows may have extended it
+            self._steps[-1] = state.last_step
+        del self._open_routines[len(state.open_routines) :]
+        for open_routine, (next_line, body_count, structure_counts) in zip(
+            self._open_routines, state.open_routines, strict=True
         ):
-            open_routine.cursor = cursor
+            open_routine.next_line = next_line
             del open_routine.bodies[body_count:]
-            for body, part_count in zip(open_routine.bodies, part_counts, strict=True):
-                del body.loops_and_calls[part_count:]
+            for body, structure_count in zip(open_routine.bodies, structure_counts, strict=True):
+                del body.loops_and_calls[structure_count:]
 
-    def enter_routine(self, place: Place, name: tuple[int, int], module: Module, routine: Routine) -> None:
+    def enter_routine(self, place: Place, name_span: tuple[int, int], module: Module, routine: Routine) -> None:
         """Begin a routine that the present routine calls.
 
         :param place: the line with the call, which is recorded as the last of the caller.
-        :param name: span of the name of the called routine in the file of that line.
+        :param name_span: span of the name of the called routine in the file of that line.
         """
         caller = self._open_routines[-1]
         self.record_passed_lines(place.line)
         self._steps.append(RoutineEntry(self.row_count, module, routine))
         body = Body(self.row_count + 1)
-        caller.bodies[-1].loops_and_calls.append(InlinedRoutine(self.row_count, name, routine, body))
+        caller.bodies[-1].loops_and_calls.append(InlinedRoutine(self.row_count, name_span, routine, body))
         is_in_main_file = routine.source is self.main.source
         reported_line = 0 if is_in_main_file else caller.reported_line or place.line
         self._open_routines.append(_OpenRoutine(routine.source, routine.first + 1, reported_line, [body]))
@@ -248,7 +254,7 @@ class Recorder:
         loop.bodies.append(body)
         self._open_routines[-1].bodies.append(body)
         self._record_assignment(block, number)
-        self._open_routines[-1].cursor = block.first + 1
+        self._open_routines[-1].next_line = block.first + 1
 
     def record_plain_rounds(self, loop: UnrolledLoop, block: Block, rounds: PlainRounds) -> None:
         """Record at once all rounds of a FOR that differ only in the value of its counter.
@@ -258,10 +264,10 @@ class Recorder:
         :param rounds: number and rows of the rounds; they begin with the next row.
         """
         routine = self._open_routines[-1]
-        body_lines = _Piece(
-            self._file_number(routine.source), block.first + 1, block.last - 1, routine.reported_line, is_live=True
+        body_lines = _LineRange(
+            self._file_number(routine.source), block.first + 1, block.last - 1, routine.reported_line, is_executed=True
         )
-        self._pieces += [self._assignment_piece(block), body_lines] * rounds.count
+        self._line_ranges += [self._assignment_range(block), body_lines] * rounds.count
         starts = range(rounds.first, rounds.stop_row, rounds.length)
         loop.bodies += [Body(start, start + rounds.length) for start in starts]
         loop.plain_rounds = rounds
@@ -277,7 +283,7 @@ class Recorder:
         """
         if is_whole:
             self.record_run_lines(block.last - 1)
-        self.record_passed_lines(block.last - 1, is_live=False)
+        self.record_passed_lines(block.last - 1, is_executed=False)
         self._open_routines[-1].bodies.pop().stop = self.row_count + 1
 
     def end_loop(self, loop: UnrolledLoop, block: Block, number: int | None) -> None:
@@ -288,9 +294,9 @@ class Recorder:
         :param number: value of the counter of FOR after the loop; None if the loop was left early, and for other loops.
         """
         if not loop.bodies:  # no round has run
-            self.record_passed_lines(block.last, is_live=False)
+            self.record_passed_lines(block.last, is_executed=False)
         self._record_assignment(block, number)
-        self._open_routines[-1].cursor = block.last + 1
+        self._open_routines[-1].next_line = block.last + 1
         loop.stop = self.row_count + 1
 
     def execution(self, unfollowed_routines: Set[Routine]) -> Execution:
@@ -308,14 +314,14 @@ class Recorder:
         for routine in sorted(self._inlined, key=lambda routine: routine.first):
             # those before the main routine are among the rows that precede it
             if routine.source is main.source and routine.first > main.last:
-                self._record_lines(main.source, next_line, routine.first - 1, 0, is_live=False)
+                self._record_lines(main.source, next_line, routine.first - 1, 0, is_executed=False)
                 next_line = routine.last + 1
-        self._record_lines(main.source, next_line, len(main.source.starts), 0, is_live=False)
-        columns = np.array(self._pieces, dtype=np.int64).T  # one for each field of `_Piece`
+        self._record_lines(main.source, next_line, len(main.source.starts), 0, is_executed=False)
+        columns = np.array(self._line_ranges, dtype=np.int64).T  # one for each field of `_LineRange`
         _, first_lines, last_lines, *_ = columns
         lengths = last_lines - first_lines + 1
-        file, first, _, reported_line, is_live, for_line = (np.repeat(values, lengths) for values in columns)
-        # rows of a piece are consecutive lines; 0 in `for_line` or `reported_line`: the line of the row itself
+        file, first, _, reported_line, is_executed, for_line = (np.repeat(values, lengths) for values in columns)
+        # rows of a range are consecutive lines; 0 in `for_line` or `reported_line`: the line of the row itself
         line = np.where(for_line > 0, for_line, first + ragged_range(lengths))
         reported_lines = np.where(reported_line > 0, reported_line, line)
         return Execution(
@@ -323,7 +329,7 @@ class Recorder:
             trace=Trace(tuple(self._sources), file, line, reported_lines, for_line > 0),
             steps=tuple(self._steps),
             body=self.body,
-            may_run=is_live.astype(np.bool_),
+            may_run=is_executed.astype(np.bool_),
             inlined_routines=frozenset(self._inlined),
             unchanged_routines=frozenset(
                 self._inlined if self.may_call_originals else self._inlined.keys() & unfollowed_routines
@@ -332,29 +338,31 @@ class Recorder:
             counter_of_row=dict(self._counter_values),
         )
 
-    def _record_up_to(self, line: int, *, is_live: bool) -> bool:
+    def _record_up_to(self, line: int, *, is_executed: bool) -> bool:
         """Record the lines of the present routine up to `line` that are not recorded yet, without a step.
 
-        :param is_live: True if the lines run.
+        :param is_executed: True if the lines run.
         :returns: False if there are no such lines.
         """
         open_routine = self._open_routines[-1]
-        if line < open_routine.cursor:
+        if line < open_routine.next_line:
             return False
-        self._record_lines(open_routine.source, open_routine.cursor, line, open_routine.reported_line, is_live=is_live)
-        open_routine.cursor = line + 1
+        self._record_lines(
+            open_routine.source, open_routine.next_line, line, open_routine.reported_line, is_executed=is_executed
+        )
+        open_routine.next_line = line + 1
         return True
 
-    def _record_lines(self, source: Source, first: int, last: int, reported_line: int, *, is_live: bool) -> None:
+    def _record_lines(self, source: Source, first: int, last: int, reported_line: int, *, is_executed: bool) -> None:
         """Add the lines first … last of a file to the trace, one row for each; nothing if last < first.
 
         :param source: the file.
         :param reported_line: line of the `.src` to report for all these lines; 0: each line itself.
-        :param is_live: True if the lines run.
+        :param is_executed: True if the lines run.
         """
         if last < first:
             return
-        self._pieces.append(_Piece(self._file_number(source), first, last, reported_line, is_live))
+        self._line_ranges.append(_LineRange(self._file_number(source), first, last, reported_line, is_executed))
         self.row_count += last - first + 1
 
     def _file_number(self, source: Source) -> int:
@@ -369,16 +377,16 @@ class Recorder:
         """
         if number is None:
             return
-        self._pieces.append(self._assignment_piece(block))
+        self._line_ranges.append(self._assignment_range(block))
         self.row_count += 1
         self._counter_values.append((self.row_count, number))
         self._add_lines_step(self.row_count)
 
-    def _assignment_piece(self, block: Block) -> _Piece:
+    def _assignment_range(self, block: Block) -> _LineRange:
         """Return the row that sets the counter of a FOR of the present routine: its line is that of the FOR."""
         routine = self._open_routines[-1]
         number = self._file_number(routine.source)
-        return _Piece(number, 1, 1, routine.reported_line, is_live=True, for_line=block.first)  # 1 … 1: one row
+        return _LineRange(number, 1, 1, routine.reported_line, is_executed=True, for_line=block.first)  # 1 … 1: one row
 
     def _add_lines_step(self, first_row: int) -> None:
         """Add the rows from `first_row` on as a step: to `Lines` that end directly before, or as new `Lines`."""
