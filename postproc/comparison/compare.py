@@ -104,10 +104,10 @@ def _with_partner_feeds(nominal_path: PlacedProgram, corrected_path: PlacedProgr
 
     The forces of a process depend on the feed, and the second program is corrected for its own feeds.
 
-    :param partner: (n,) index in `corrected_path.rows` of the partner of each nominal target; −1 for none.
+    :param partner: (n,) index in `corrected_path.target_rows` of the partner of each nominal target; −1 for none.
     """
     motions, feed = nominal_path.program.motions, nominal_path.program.motions.feed.copy()
-    rows, partner_rows = nominal_path.rows[partner >= 0], corrected_path.rows[partner[partner >= 0]]
+    rows, partner_rows = nominal_path.target_rows[partner >= 0], corrected_path.target_rows[partner[partner >= 0]]
     partner_feed = corrected_path.program.motions.feed[partner_rows]
     differs = ~motions.rapid[rows] & (np.abs(partner_feed - feed[rows]) > _SAME_FEED * feed[rows])
     if not differs.any():
@@ -134,7 +134,7 @@ class _Loads(Struct, frozen=True, eq=False):
 
         :raises ForceError: the arm has no equilibrium under a force.
         """
-        path, rows = nominal_path.forces(source), nominal_path.rows
+        path, rows = nominal_path.forces(source), nominal_path.target_rows
         wrench = nominal_path.wrench(path, rows)
         displacement = nominal_path.carriage_displacement(rows)
         return cls(path, wrench, deviation(nominal_path, rows, nominal_path.joints[rows], wrench, displacement))
@@ -216,7 +216,7 @@ def _all_pairs(
 
     A second round pairs missing targets with additional ones to which the second program has moved them.
 
-    :param partner: (n,) index of the partner in `corrected_path.rows`; −1 for none.
+    :param partner: (n,) index of the partner in `corrected_path.target_rows`; −1 for none.
     :param is_certain: (n,) True where the partner is right for certain.
     :param loads: forces of the nominal program; None if they are not known.
     """
@@ -224,11 +224,11 @@ def _all_pairs(
     has_doubtful_partner = (partner >= 0) & ~is_certain & (loads is not None)
     # a target that only divides a line or an arc may have a partner that divides it elsewhere: the path passes it then,
     # so it first has no partner, and gets it back if it then counts as missing
-    is_division_point = nominal_path.is_continued[nominal_path.rows] & has_doubtful_partner
+    is_division_point = nominal_path.is_continued[nominal_path.target_rows] & has_doubtful_partner
     pairs = pair_targets(nominal_path, corrected_path, np.where(is_division_point, -1, partner), is_certain)
     comparison = judge_unpaired(pairs, nominal_path, corrected_path, path_forces)
     displaced_partner = moved_partners(comparison, nominal_path, corrected_path)
-    is_missing = np.isin(nominal_path.rows, comparison.only_nominal) & is_division_point
+    is_missing = np.isin(nominal_path.target_rows, comparison.only_nominal) & is_division_point
     displaced_partner[is_missing] = partner[is_missing]
     if not (displaced_partner >= 0).any():
         return comparison
@@ -246,7 +246,9 @@ def _complete_cuts(
     """
     partner = partners_of(comparison, nominal_path, corrected_path)
     corrected_deviation = deviations_by_partners(nominal_path, corrected_path, partner, loads.wrench)
-    target_of_pair = np.searchsorted(nominal_path.rows, comparison.pair[:, 0])  # rows of `loads`: one for each target
+    target_of_pair = np.searchsorted(
+        nominal_path.target_rows, comparison.pair[:, 0]
+    )  # rows of `loads`: one for each target
     cuts = pair_cuts(
         comparison,
         nominal_path,
@@ -269,7 +271,7 @@ def _explain_as_inserted(comparison: Comparison, nominal_path: PlacedProgram) ->
         comparison,
         passed_rows=np.concatenate([comparison.passed_rows, comparison.only_nominal]),
         passing_distance=np.concatenate([comparison.passing_distance, comparison.missing_distance]),
-        only_nominal=nominal_path.rows[:0],
+        only_nominal=nominal_path.target_rows[:0],
         missing_distance=comparison.missing_distance[:0],
     )
     return count_as_inserted(comparison, np.ones(len(comparison.additional_rows), dtype=bool))
@@ -296,11 +298,15 @@ def _add_cuts(comparison: Comparison, nominal_path: PlacedProgram, corrected_pat
 
 
 def _stated_partners(nominal_path: PlacedProgram, corrected_path: PlacedProgram, ends: Bools | None) -> Ints | None:
-    """Return the partners (n,) of `nominal_path.rows` that the conversion states, as indices in `corrected_path.rows`.
+    """Return the partners (n,) of nominal targets that the conversion states: indices in `corrected_path.target_rows`.
 
-    :param ends: (c,) True for each of `corrected_path.rows` that ends a nominal motion, False for inserted ones.
+    :param ends: (c,) True for each of `corrected_path.target_rows` that ends a nominal motion, False for inserted ones.
     :returns: None if `ends` is None, or if the numbers of targets do not fit those of the programs.
     """
-    if ends is None or len(ends) != len(corrected_path.rows) or int(np.count_nonzero(ends)) != len(nominal_path.rows):
+    if (
+        ends is None
+        or len(ends) != len(corrected_path.target_rows)
+        or int(np.count_nonzero(ends)) != len(nominal_path.target_rows)
+    ):
         return None
     return np.flatnonzero(ends)

@@ -192,11 +192,9 @@ def _uncompared_motions(comparison: Comparison) -> Iterator[Difference]:
             None if side is None else (side.file, side.line) for side in (nominal_motion, corrected_motion)
         )
         yield Difference("warning", "not-compared", message, nominal_place, corrected_place, 1)
-    predecessors = comparison.nominal.after
-    if predecessors is None:
-        return
+    nominal_rows = comparison.pair[:, 0]
     # a motion that is its own predecessor begins at an unknown place
-    pairs = np.flatnonzero(predecessors[comparison.pair[:, 0]] == comparison.pair[:, 0])
+    pairs = np.flatnonzero(comparison.nominal.predecessors[nominal_rows] == nominal_rows)
     if len(pairs):
         message = "the way to this target is not compared, because it is unknown where it begins."
         yield pair_warning(comparison, "not-compared", message, pairs)
@@ -298,14 +296,16 @@ def _ambiguous_pairs(
     """
     if not len(comparison.pair) or not len(comparison.inserted_rows):
         return
-    nominal_position = nominal_path.track().position[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])]
+    nominal_position = nominal_path.track().position[np.searchsorted(nominal_path.target_rows, comparison.pair[:, 0])]
     corrected_position = corrected_path.track().position
-    partner = np.searchsorted(corrected_path.rows, comparison.pair[:, 1])  # index of the target in the second track
+    partner = np.searchsorted(
+        corrected_path.target_rows, comparison.pair[:, 1]
+    )  # index of the target in the second track
     limit = OFF_PATH + 2.0 * float(comparison.distance.max())
     uncertainty = np.zeros(len(partner))  # of the offset of each pair [m]
     for step in (-1, 1):  # the target before the partner, and the one after it
-        neighbour = np.clip(partner + step, 0, len(corrected_path.rows) - 1)
-        is_inserted = np.isin(corrected_path.rows[neighbour], comparison.inserted_rows)
+        neighbour = np.clip(partner + step, 0, len(corrected_path.target_rows) - 1)
+        is_inserted = np.isin(corrected_path.target_rows[neighbour], comparison.inserted_rows)
         is_possible = is_inserted & (norm(corrected_position[neighbour] - nominal_position) <= limit)
         gap = norm(corrected_position[neighbour] - corrected_position[partner])
         uncertainty = np.where(is_possible, np.maximum(uncertainty, gap), uncertainty)
@@ -368,9 +368,9 @@ def _inserted_rotations(
     Without forces, the angle counts from the nominal orientation at the same share of the stretch between two pairs.
     The larger rotation of these pairs is subtracted.
     """
-    cuts = comparison.cuts
+    cuts = comparison.cuts  # deviations under force; None: no forces are known
     if cuts is not None and len(cuts.row):
-        ends = np.flatnonzero(cuts.t == 1.0)
+        ends = np.flatnonzero(cuts.t == 1.0)  # places at inserted targets; others are between targets
         return cuts.row[ends], cuts.path_rotation[ends]
     row = comparison.inserted_rows
     next_pair = np.searchsorted(comparison.pair[:, 1], row)
@@ -443,6 +443,7 @@ def _stretches_off_path(
 ) -> Iterator[Difference]:
     """Yield stretches between pairs on which the second path is farther from the nominal one than its targets are.
 
+    The stretch to a pair is the path from the pair before it.
     An arc with a wrong auxiliary point is such a stretch: its targets are right. It is an error where the distance is
     larger than the largest permitted correction. `_deviations_under_force` reports stretches that are checked under
     forces.
@@ -525,9 +526,9 @@ def _distance_of_joint_motion(
     begin_offset, end_offset = corrected_path.carriage_displacement(np.array([begin_row, row]))
     tips = corrected_path.loaded_tip(
         np.full(_SAMPLES, row),
-        (1.0 - share) * corrected_path.joints[begin_row] + share * corrected_path.joints[row],
-        np.zeros((_SAMPLES, 6)),
-        (1.0 - share) * begin_offset + share * end_offset,
+        q=(1.0 - share) * corrected_path.joints[begin_row] + share * corrected_path.joints[row],
+        wrench=np.zeros((_SAMPLES, 6)),
+        displacement=(1.0 - share) * begin_offset + share * end_offset,
     )
     pair = int(np.searchsorted(comparison.pair[:, 1], row))
     begin, end = nominal_path.arc_length[comparison.pair[pair - 1 : pair + 1, 0] + 1]
@@ -570,14 +571,14 @@ def _distance_on_stretch(
 
 def _deviations_under_force(comparison: Comparison, nominal_path: PlacedProgram) -> Iterator[Difference]:
     """Yield places between targets where the loaded tip is farther from the nominal path than at the targets."""
-    cuts = comparison.cuts
+    cuts = comparison.cuts  # row and t: motion of the second program, and place on it, that were checked
     if cuts is None:
         return
     # the deviation at the end of each motion of the second program: at pairs, and at inserted targets
-    at_end = np.zeros(len(comparison.corrected.motions))
-    at_end[comparison.pair[:, 1]] = norm(cuts.corrected_deviation)
-    at_end[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
-    largest_at_ends = np.maximum(at_end[cuts.row], at_end[cuts.row - 1])
+    end_distance = np.zeros(len(comparison.corrected.motions))
+    end_distance[comparison.pair[:, 1]] = norm(cuts.corrected_deviation)
+    end_distance[cuts.row[cuts.t == 1.0]] = cuts.corrected_distance[cuts.t == 1.0]
+    largest_at_ends = np.maximum(end_distance[cuts.row], end_distance[cuts.row - 1])
     limits = largest_at_ends + nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN
     stretch = np.searchsorted(comparison.pair[:, 1], cuts.row)
     # missing targets have a difference of their own

@@ -88,18 +88,18 @@ def pair_cuts(
     :param corrected_deviation: (P, 3) by the second program, in its `$BASE` [m].
     :raises ForceError: the arm has no equilibrium under a force.
     """
-    nothing = np.zeros(0)
+    no_values = np.zeros(0)
     return Cuts(
         wrench=wrench_in_nominal_base(comparison, wrench),
         nominal=nominal_deviation,
         corrected_deviation=corrected_deviation,
         rotation=_orientation_errors(comparison, nominal_path, wrench),
         row=np.zeros(0, dtype=np.int64),
-        t=nothing,
-        nominal_distance=nothing,
-        corrected_distance=nothing,
-        path_rotation=nothing,
-        length=nothing,
+        t=no_values,
+        nominal_distance=no_values,
+        corrected_distance=no_values,
+        path_rotation=no_values,
+        length=no_values,
     )
 
 
@@ -199,7 +199,8 @@ class _NearestPlaces(Columns, frozen=True, eq=False):
 def _places_inside_pieces(search: Search, end_length: Array) -> _NearestPlaces:
     """Return places inside the lines and arcs of the second program, with the nearest places of the nominal path.
 
-    Pieces of unknown length, very short ones, and those that cover a step of the force are left out.
+    A piece is such a line or arc, from one target to the next. Pieces of unknown length, very short ones, and those
+    that cover a step of the force are left out.
 
     :param end_length: (M,) arc lengths on the nominal path at which the second program's motions end [m]; NaN where
         unknown.
@@ -276,7 +277,7 @@ class Stretches(Struct, frozen=True, eq=False):
 
     def pieces(self) -> Ints:
         """Return the lines and arcs (n,) of the second program that are compared with the nominal path inside."""
-        rows = self.corrected_path.rows
+        rows = self.corrected_path.target_rows
         rows = rows[np.isin(self.corrected_path.program.motions.kind[rows], (LIN, CIRC))]
         return rows[self._is_on_comparable_stretch(rows) & ~_has_uncorrected_start(self.corrected_path)[rows]]
 
@@ -298,8 +299,8 @@ class Stretches(Struct, frozen=True, eq=False):
         :param row: (n,) motions of the second program.
         :param end_length: (M,) arc lengths on the nominal path at which the second program's motions end [m].
         """
-        previous_target = np.searchsorted(self.corrected_path.rows, row) - 1  # −1: none
-        previous_row = self.corrected_path.rows[previous_target]
+        previous_target = np.searchsorted(self.corrected_path.target_rows, row) - 1  # −1: none
+        previous_row = self.corrected_path.target_rows[previous_target]
         return np.where(previous_target >= 0, end_length[previous_row], self.begin[self.stretch[row]])
 
 
@@ -341,8 +342,8 @@ def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces
     displacements[rows] = corrected_path.points(corrected_path.arc_length[rows + 1]) - nominal_path.points(
         end_length[rows]
     )
-    previous_target = np.maximum(np.searchsorted(corrected_path.rows, pieces) - 1, 0)
-    changes = norm(displacements[pieces] - displacements[corrected_path.rows[previous_target]])
+    previous_target = np.maximum(np.searchsorted(corrected_path.target_rows, pieces) - 1, 0)
+    changes = norm(displacements[pieces] - displacements[corrected_path.target_rows[previous_target]])
     return ~np.asarray(changes <= _STEEP_CHANGE)  # True for NaN
 
 

@@ -35,13 +35,13 @@ more, the second program is another one (assumed)."""
 
 
 def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
-    """Return the partner (n,) of each target of the nominal program: its index in `corrected_path.rows`; −1 for none.
+    """Return the partner (n,) of each target of the nominal program: its index in the second program; −1 for none.
 
-    `PlacedProgram.rows` are the motions of a program that have a Cartesian target.
+    Indices are in `PlacedProgram.target_rows`, the motions that have a Cartesian target.
     """
-    partner = np.full(len(nominal_path.rows), -1)
-    partner[np.searchsorted(nominal_path.rows, comparison.pair[:, 0])] = np.searchsorted(
-        corrected_path.rows, comparison.pair[:, 1]
+    partner = np.full(len(nominal_path.target_rows), -1)
+    partner[np.searchsorted(nominal_path.target_rows, comparison.pair[:, 0])] = np.searchsorted(
+        corrected_path.target_rows, comparison.pair[:, 1]
     )
     return partner
 
@@ -49,19 +49,19 @@ def partners_of(comparison: Comparison, nominal_path: PlacedProgram, corrected_p
 def deviations_by_partners(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array
 ) -> Array:
-    """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.rows`, `$BASE` [m].
+    """Return the deviations (n, 3) of the loaded tip by the second program at `nominal_path.target_rows`, `$BASE` [m].
 
     The deviation of a target without a partner is 0.
 
-    :param partner: (n,) index in `corrected_path.rows`; −1 for none.
+    :param partner: (n,) index in `corrected_path.target_rows`; −1 for none.
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
     :raises ForceError: the arm has no equilibrium under a force.
     """
-    deviations, has_partner = np.zeros((len(nominal_path.rows), 3)), partner >= 0
-    rows = corrected_path.rows[partner[has_partner]]
+    deviations, has_partner = np.zeros((len(nominal_path.target_rows), 3)), partner >= 0
+    rows = corrected_path.target_rows[partner[has_partner]]
     deviations[has_partner] = deviation(
         nominal_path,
-        nominal_path.rows[has_partner],
+        nominal_path.target_rows[has_partner],
         corrected_path.joints[rows],
         wrench[has_partner],
         corrected_path.carriage_displacement(rows),
@@ -72,23 +72,23 @@ def deviations_by_partners(
 def partners_under_force(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, wrench: Array
 ) -> Ints:
-    """Return partners (n,) of `nominal_path.rows`, replaced by free neighbours that bring the loaded tip to the target.
+    """Return the partners (n,) of the nominal targets, replaced by free neighbours that bring the loaded tip to them.
 
     A partner is replaced only if the tip misses the target by more than the tolerance.
 
-    :param partner: (n,) index in `corrected_path.rows` of the present partners; −1 for none.
+    :param partner: (n,) index in `corrected_path.target_rows` of the present partners; −1 for none.
     :param wrench: (n, 6) at the tip, root axes [N, N·m].
     :raises ForceError: the arm has no equilibrium under a force.
     """
     tolerance, new_partner = nominal_path.robot_in_cell.tolerance, partner.copy()
     # a PTP is no partner of a line or an arc
-    is_ptp = nominal_path.program.motions.kind[nominal_path.rows] == PTP
-    is_corrected_ptp = corrected_path.program.motions.kind[corrected_path.rows] == PTP
+    is_ptp = nominal_path.program.motions.kind[nominal_path.target_rows] == PTP
+    is_corrected_ptp = corrected_path.program.motions.kind[corrected_path.target_rows] == PTP
     for _ in range(2):  # a partner that the first pass replaced may be that of a neighbour
         distances = norm(deviations_by_partners(nominal_path, corrected_path, new_partner, wrench))
         is_mismatched = (new_partner < 0) | ~(distances <= tolerance)
         for k in np.flatnonzero(is_mismatched)[:_MAX_MOVES].tolist():
-            candidates = _free_neighbours(new_partner, k, len(corrected_path.rows))
+            candidates = _free_neighbours(new_partner, k, len(corrected_path.target_rows))
             candidates = candidates[is_corrected_ptp[candidates] == is_ptp[k]]
             # those next to the present partner first
             candidates = candidates[np.argsort(np.abs(candidates - partner[k]), kind="stable")[:_MAX_CANDIDATES]]
@@ -103,14 +103,14 @@ def _loaded_distances(
 ) -> Array:
     """Return the distances (c,) [m] of the loaded tip from nominal target `k` at targets of the second program.
 
-    :param candidates: (c,) indices of these targets in `corrected_path.rows`.
+    :param candidates: (c,) indices of these targets in `corrected_path.target_rows`.
     :param wrench: (6,) at the tip at target `k`, root axes [N, N·m].
     :raises ForceError: the arm has no equilibrium under the force.
     """
-    rows, count = corrected_path.rows[candidates], len(candidates)
+    rows, count = corrected_path.target_rows[candidates], len(candidates)
     deviations = deviation(
         nominal_path,
-        np.repeat(nominal_path.rows[k], count),
+        np.repeat(nominal_path.target_rows[k], count),
         corrected_path.joints[rows],
         np.tile(wrench, (count, 1)),
         corrected_path.carriage_displacement(rows),
@@ -150,7 +150,7 @@ class _PairedTargets(NamedTuple):
 def _paired_targets(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pair: Ints) -> _PairedTargets:
     """Return the offsets of pairs (P, 2), and the targets that they leave without a partner."""
     pose, twist = offsets_of(nominal_path, corrected_path, pair)
-    unpaired_rows = np.setdiff1d(corrected_path.rows, pair[:, 1])
+    unpaired_rows = np.setdiff1d(corrected_path.target_rows, pair[:, 1])
     is_on_path = _is_on_path(nominal_path, corrected_path, pair, norm(twist[:, :3]), unpaired_rows)
     return _PairedTargets(pose, twist, unpaired_rows, is_on_path)
 
@@ -158,16 +158,16 @@ def _paired_targets(nominal_path: PlacedProgram, corrected_path: PlacedProgram, 
 def pair_targets(
     nominal_path: PlacedProgram, corrected_path: PlacedProgram, partner: Ints, is_certain: Bools
 ) -> Comparison:
-    """Return the comparison of `nominal_path.rows` with their partners.
+    """Return the comparison of `nominal_path.target_rows` with their partners.
 
     All nominal targets without a partner count as missing until `judge_unpaired`; there are no forces and differences.
 
-    :param partner: (n,) index in `corrected_path.rows`; −1 for none.
+    :param partner: (n,) index in `corrected_path.target_rows`; −1 for none.
     :param is_certain: (n,) True where the partner is right for certain, so that no neighbour of it is tried.
     """
     nominal, corrected, has_partner = nominal_path.program, corrected_path.program, partner >= 0
     # (P, 2) motions of both programs
-    pair = np.stack([nominal_path.rows[has_partner], corrected_path.rows[partner[has_partner]]], axis=1)
+    pair = np.stack([nominal_path.target_rows[has_partner], corrected_path.target_rows[partner[has_partner]]], axis=1)
     targets = _paired_targets(nominal_path, corrected_path, pair)
     is_joint_motion = corrected.motions.kind[targets.unpaired_rows] == PTP
     rows_off_path = targets.unpaired_rows[~targets.is_on_path | is_joint_motion]  # a moved target may be a PTP
@@ -188,9 +188,9 @@ def pair_targets(
         robot=nominal_path.robot_in_cell.robot.name,
         pair=pair,
         inserted_rows=targets.unpaired_rows[targets.is_on_path],
-        passed_rows=nominal_path.rows[:0],
+        passed_rows=nominal_path.target_rows[:0],
         passing_distance=np.zeros(0),
-        only_nominal=nominal_path.rows[~has_partner],
+        only_nominal=nominal_path.target_rows[~has_partner],
         missing_distance=np.full(int((~has_partner).sum()), np.nan),
         additional_rows=targets.unpaired_rows[~targets.is_on_path],
         pose=targets.pose,
@@ -218,12 +218,12 @@ def judge_unpaired(
 
 
 def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
-    """Return the indices (n,) in `corrected_path.rows` of targets moved away from `nominal_path.rows`; −1 for none.
+    """Return the partners (n,) of nominal targets that the second program has moved away; −1 for none.
 
-    If there are equal numbers of missing and additional targets between the same two pairs, they are partners in their
+    A partner is an index in `corrected_path.target_rows`. If there are equal numbers of missing and additional targets between the same two pairs, they are partners in their
     order: the first missing one and the first additional one, and so on. Both must be PTP, or both not.
     """
-    partner = np.full(len(nominal_path.rows), -1)
+    partner = np.full(len(nominal_path.target_rows), -1)
     missing_rows, additional_rows = comparison.only_nominal, comparison.additional_rows
     # a gap is the number of pairs before a target: targets of one gap are between the same pairs
     gap_count = len(comparison.pair) + 1
@@ -236,8 +236,8 @@ def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, correcte
     is_missing_ptp = nominal_path.program.motions.kind[missing_rows] == PTP
     is_additional_ptp = corrected_path.program.motions.kind[additional_rows] == PTP
     is_same_kind = is_missing_ptp == is_additional_ptp
-    nominal_indices = np.searchsorted(nominal_path.rows, missing_rows[is_same_kind])
-    partner[nominal_indices] = np.searchsorted(corrected_path.rows, additional_rows[is_same_kind])
+    nominal_indices = np.searchsorted(nominal_path.target_rows, missing_rows[is_same_kind])
+    partner[nominal_indices] = np.searchsorted(corrected_path.target_rows, additional_rows[is_same_kind])
     return partner
 
 
@@ -322,7 +322,9 @@ def moved_pairs(
     change = np.pad(norm(np.diff(offset, axis=0)), 1, constant_values=np.inf)
     # the offset of the pair is unlike those of both neighbours
     is_single_change = (np.minimum(change[:-1], change[1:]) > OFF_PATH) & ~is_certain
-    target_number = {row: number for number, row in enumerate(corrected_path.rows.tolist())}  # of motions with a target
+    target_number = {
+        row: number for number, row in enumerate(corrected_path.target_rows.tolist())
+    }  # of motions with a target
     for row in rows[:_MAX_MOVES].tolist():
         next_pair = int(np.searchsorted(pair[:, 1], row))
         adjacent_pairs = [k for k in (next_pair, next_pair - 1) if 0 <= k < len(pair)]  # behind and before the target
@@ -415,6 +417,7 @@ def missing_distances(
 ) -> Array:
     """Return the distances of the second path from nominal targets without partner (n,) [m]; NaN for PTP.
 
+    A path is measured by its arc length from the start of the program.
     With forces, the path is that of the loaded tip. Without, the targets are moved by the offsets of the neighbouring
     pairs, interpolated. Each is compared with the second path between the pairs before and after it.
 

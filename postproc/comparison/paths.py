@@ -47,14 +47,14 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
     :param size: (M,) length of the motions [m]; of one that does not move the tip, see `_PER_RADIAN`.
     :param arc_length: (M + 1,) arc length at which each motion begins, and that of the end: the sum of these sizes [m].
-    :param rows: (n,) motions with a Cartesian target.
+    :param target_rows: (n,) motions with a Cartesian target.
     :param joints: (M, 6) joint angles at the ends of the motions [rad].
     :param branch: (M,) branch of the inverse kinematics of each.
     """
 
     size: Array
     arc_length: Array
-    rows: Ints
+    target_rows: Ints
     joints: Array
     branch: Ints
 
@@ -66,7 +66,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         """
         m = program.motions
         segments = toolpath.segments(program, robot_in_cell.start_flange)
-        is_rotation = (m.kind != PTP) & (segments.length < _NO_LENGTH)
+        is_rotation = (m.kind != PTP) & (segments.length < _NO_LENGTH)  # the tip stays where it is
         size = np.where(is_rotation, np.maximum(_PER_RADIAN * segments.turn, _MIN_SIZE), segments.length)
         ends = _end_joints(program, robot_in_cell)
         return cls(
@@ -75,7 +75,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
             segments,
             size=size,
             arc_length=np.append(0.0, np.cumsum(size)),
-            rows=np.flatnonzero(np.isnan(m.joints[:, 0])),
+            target_rows=np.flatnonzero(np.isnan(m.joints[:, 0])),
             joints=ends.q[:],
             branch=ends.branch,
         )
@@ -85,7 +85,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
         :param offset: (n, 3) by which they are displaced, in their `$BASE` [m]; 0: they are not.
         """
-        m, rows = self.program.motions, self.rows
+        m, rows = self.program.motions, self.target_rows
         pose = m.target[rows]
         is_ptp = m.kind[rows] == PTP
         # the path of a PTP is not known: its chord counts
@@ -308,6 +308,8 @@ class Curves(Struct, frozen=True, eq=False):
 
     def largest_gaps(self) -> Array:
         """Return the largest distance (P,) [m] of both paths at the same u, between each pair and the pair before.
+
+        The parameter u of both paths is k at pair k, and between pairs it grows with the length of each path.
 
         NaN for the first pair, and where a PTP is between.
         """

@@ -187,13 +187,15 @@ def status_and_turn_issues(program: Program, robot: RobotModel, sample: Toolpath
     :param q: (N, 6) joint angles chosen for the nominal path [rad]: with S and T of the program where possible.
     """
     m = program.motions
-    ptp_samples = np.flatnonzero(sample.is_end & (m.kind[sample.motion] == PTP) & np.isnan(m.joints[sample.motion, 0]))
+    is_axis_target = np.isfinite(m.joints[sample.motion, 0])  # it states joint angles, and needs no S and T
+    ptp_samples = np.flatnonzero(sample.is_end & (m.kind[sample.motion] == PTP) & ~is_axis_target)
     motion = sample.motion[ptp_samples]
+    states_turn, states_status = m.turn[motion] >= 0, m.status[motion] >= 0  # −1: the target does not state it
     has_sign = np.abs(q[ptp_samples]) > _SMALLEST_SIGNED_ANGLE
     turn_bits = m.turn[motion, None] >> np.arange(6) & 1  # bit i of T is 1 where joint i is negative
-    wrong_turn = (m.turn[motion] >= 0) & (((q[ptp_samples] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
+    wrong_turn = states_turn & (((q[ptp_samples] < 0.0) != (turn_bits == 1)) & has_sign).any(axis=1)
     # bits 0 to 2 of S are overhead, elbow and wrist; higher ones do not concern the posture
-    wrong_status = (m.status[motion] >= 0) & (kinematics.status_of(robot, q[ptp_samples]) != m.status[motion] & 7)
+    wrong_status = states_status & (kinematics.status_of(robot, q[ptp_samples]) != m.status[motion] & 7)
     wrong_status &= has_sign[:, 4]  # at A5 = 0 the wrist has both configurations
     advice = "The controller would drive the axes elsewhere, or stop: correct S and T, or leave them out."
     for is_wrong, name in ((wrong_status, "status S"), (wrong_turn, "turn T")):
@@ -220,10 +222,11 @@ def first_move_issues(program: Program, path: JointPath, start: Array) -> Iterat
     :param start: (6,) joint angles of [start] of the cell [rad].
     """
     m = program.motions
-    if m.kind[0] != PTP or np.isfinite(m.joints[0, 0]):
+    is_axis_target = np.isfinite(m.joints[0, 0])  # the program itself states these joint angles
+    if m.kind[0] != PTP or is_axis_target:
         return
     rotation = path.q[0] - start
-    for axis in (3, 5):
+    for axis in (3, 5):  # A4 and A6
         if abs(rotation[axis]) > _HALF_TURN:
             message = (
                 f"The first move turns {JOINTS[axis]} by {rotation[axis] * DEG_PER_RAD:.0f}° from the [start] joints "
@@ -285,6 +288,7 @@ def posture_issues(
     :param start: (6,) joint angles where the program starts [rad].
     """
     ends = np.flatnonzero(sample.is_end & (program.motions.kind[sample.motion] == PTP))
+    # a PTP has one sample, at its end: it starts at the sample before
     start_status = kinematics.status_of(robot, np.where(ends[:, None] > 0, path.q[ends - 1], start))
     end_status = kinematics.status_of(robot, path.q[ends])
     changes = np.flatnonzero(start_status != end_status)
@@ -355,7 +359,7 @@ def joint_speed_issues(program: Program, robot: RobotModel, sample: Toolpath, sp
     """
     level: Level = "warning" if any(issue.kind == "default-speed" for issue in program.issues) else "error"
     rapid = program.motions.rapid[sample.motion]
-    feed = np.nan_to_num(program.motions.feed[sample.motion])
+    feed = np.nan_to_num(program.motions.feed[sample.motion])  # NaN of PTP, whose joints are never too fast
     is_too_fast = speed > robot.speed
     for axis, name in enumerate(JOINTS):
         for is_of_group, feed_name, advice in (

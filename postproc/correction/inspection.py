@@ -353,8 +353,8 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         case.
     """
     sample, segments = path.sample, path.motions.segments
-    is_first = np.diff(sample.motion, prepend=-1) != 0
-    begin = np.where(is_first, 0.0, np.roll(sample.t, 1))
+    is_first_of_motion = np.diff(sample.motion, prepend=-1) != 0
+    begin = np.where(is_first_of_motion, 0.0, np.roll(sample.t, 1))  # t at the sample before, 0 at the start
     length, turn = (of_motion[sample.motion] * (sample.t - begin) for of_motion in (segments.travel, segments.turn))
     rows = np.flatnonzero(
         np.isin(path.program.motions.kind[sample.motion], (LIN, SPL))
@@ -392,6 +392,7 @@ def issues_between_samples(
 ) -> Iterator[Issue]:
     """Yield issues of joint limits, singularities and joint speeds between samples.
 
+    :param stretches: parts of motions that are examined at places between their samples.
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m].
     :param sparse_motions: motions with gaps between their stretches, over which a joint may turn far.
     """
@@ -422,6 +423,8 @@ class DensePlaces(NamedTuple):
 def dense_places(path: PathUnderLoad, q: Array, position: Array, stretches: Stretches) -> Iterator[DensePlaces]:
     """Yield the places on stretches in batches of about `SAMPLES_AT_ONCE`, each of whole stretches.
 
+    A stretch is a part of a motion; a place is a motion and t on it, 0 at its start and 1 at its end.
+
     :param q: (N, 6) commanded joint angles of the samples [rad], `position` (N, 3) commanded positions [m]: the
         correction of both is taken for linear between samples.
     :raises ImpossiblePathError: a place is out of reach.
@@ -431,6 +434,7 @@ def dense_places(path: PathUnderLoad, q: Array, position: Array, stretches: Stre
     end_samples = np.flatnonzero(path.sample.is_end)
     sample_place = path.sample.motion + path.sample.t
     group = np.cumsum(stretches.parts + 1) // SAMPLES_AT_ONCE  # of each stretch: batches have whole stretches
+    # motion + t increases along the program: corrections are interpolated over it
     for batch in np.split(np.arange(len(group)), np.flatnonzero(np.diff(group)) + 1):
         stretch, share = toolpath.even_places(batch, stretches.parts[batch], "both ends")
         begin, end = stretches.begin[stretch], stretches.end[stretch]
@@ -490,7 +494,11 @@ def _between_samples(
 
 
 def origin_issues(program: Program, mode: Mode) -> list[Issue]:
-    """Return the issues of a program that postproc wrote: it must not be corrected a second time."""
+    """Return the issues of a program that postproc wrote: it must not be corrected a second time.
+
+    Its origin is stated in a comment of its text. A nominal program, which postproc wrote without correction, may be
+    corrected.
+    """
     writer = registry.dialect_of_name(program.dialect).writer
     if writer is None:
         return []
@@ -534,7 +542,7 @@ def tool_change_issues(program: Program, cell: Cell) -> list[Issue]:
     second = next((event for event in changes if event.value != changes[0].value), None)
     if program.keeps_text or second is None:
         return []
-    if cell.gcode.tool_change is not None:
+    if cell.gcode.tool_change is not None:  # lines that change the tool; []: it is changed by hand
         message = "The program uses several tools, but the cell has only [tool]. Give [tools.n] for each."
         return [] if cell.tools else [Issue("warning", "tool-change", message, second.line)]
     message = (
@@ -550,7 +558,8 @@ _SAME_LENGTH = 1e-4
 
 def holder_issues(program: Program, cell: Cell) -> list[Issue]:
     """Return a warning if tools with other tips share the cylinders of [collision], which are placed from the tip."""
-    if cell.collision is None or sum(part.mesh is None for part in cell.collision.holder) < 2:
+    cylinder_count = 0 if cell.collision is None else sum(part.mesh is None for part in cell.collision.holder)
+    if cylinder_count < 2:  # the first cylinder is the cutter, which is at the tip of every tool
         return []
     m, tip = program.motions, program.tools[:, :3, 3]
     cutting = np.flatnonzero(~m.rapid)
@@ -655,6 +664,7 @@ def path_issues(path: PathUnderLoad, command: Commands) -> list[Issue]:
         *checks.correction_issues_at_joins(program, sample, command.pose, path.wrench),
         *checks.correction_size_issues(program, sample.motion, norm(position - sample.pose.position), limit),
     ]
+    # what was found at samples is not reported again between them; whole arcs are examined, of lines only some pieces
     kinds = {issue.kind for issue in issues}
     for stretches, sparse_motions in ((arcs, arcs.motion[:0]), (lines, lines.motion)):
         issues += (

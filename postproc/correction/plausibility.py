@@ -86,7 +86,8 @@ def frame_question(program: Program, motion: Ints, shift: Array, causes: Sequenc
     is_cut = ~np.asarray(program.motions.rapid)[motion]
     largest_shift = float(shift.max(initial=0.0, where=is_cut))
     limit = _LEAST_REMAINDER if cell.frames == "controller" else _LEAST_SHIFT
-    if cell.frames == "model" or largest_shift <= limit:
+    are_frames_exact = cell.frames == "model"  # measured from outside, or corrected by the model
+    if are_frames_exact or largest_shift <= limit:
         return
     cause, distance = " and ".join(causes), f"{largest_shift * MM_PER_M:.2g} mm"
     if cell.frames == "controller":
@@ -170,6 +171,7 @@ def _feed_and_spindle_questions(program: Program, cell: Cell, rows: Ints) -> Ite
         message = f"a cut with a feed of {feed[np.argmax(unusual)]:.3g} mm/min: is its unit right?"
         yield m.issue("warning", "feed-unit", message, rows[unusual])
     gcode = cell.gcode
+    # spindle_on, spindle_ccw: lines that start the spindle; []: it is started by hand; None: not stated
     if not (gcode.spindle_on or gcode.spindle_ccw):
         is_by_hand = gcode.spindle_on is not None or gcode.spindle_ccw is not None
         if len(rows) and not is_by_hand and not any(event.kind in _SWITCHING for event in program.events):
@@ -241,12 +243,13 @@ def tool_change_warnings(program: Program, axis: str) -> Iterator[Issue]:
     """
     m = program.motions
     target: Array = m.target[:]
-    to_tip = np.array(SPINDLE_AXES[axis])
+    to_tip = np.array(SPINDLE_AXES[axis])  # (3,) direction from the spindle to the tip, in the tool frame
     cutting = np.flatnonzero(~m.rapid & ~retract_motions(target[:, :3, 3], -(target[:, :3, :3] @ to_tip)))
     changes = 1 + np.flatnonzero((m.tool[1:] != m.tool[:-1]) & (m.base[1:] == m.base[:-1]))
     for row in changes.tolist():
         old_tool, new_tool = program.tools[m.tool[row - 1]], program.tools[m.tool[row]]
         points = target[cutting[m.base[cutting] == m.base[row]], :3, 3]
+        # frame of the new tool in $BASE [m], with the flange where the old tool ended its last motion
         tip = target[row - 1] @ np.linalg.solve(old_tool, new_tool)
         down = tip[:3, :3] @ to_tip
         extra_length = float((tip[:3, 3] - target[row - 1, :3, 3]) @ down)

@@ -115,7 +115,7 @@ def uncorrected_deviations(path: PathUnderLoad, rows: Ints, theta: Array) -> Unc
         q, wrench, start_theta = path.joints.q[row], path.wrench_in_root(row), theta[row]
         tip, by_tool = path.tip_in_base(row, q, wrench, start_theta)
         columns = [tip - path.sample.pose.position[row]]
-        if not robot_in_cell.rest_is_nominal:
+        if not robot_in_cell.rest_is_nominal:  # without a force the tip is not at its nominal place
             columns.append(tip - path.tip_in_base(row, q, np.zeros_like(wrench), start_theta)[0])
         if robot_in_cell.tool_spring is not None:
             columns.append(by_tool)
@@ -498,8 +498,8 @@ def _expected_errors(
     path, row = draft.path, draft.selection.row
     robot, program = path.robot_in_cell.robot, path.program
     motion = draft.selection.targets.motion
-    if robot.covariance is None:
-        if path.motions.forces.spread is not None:
+    if robot.covariance is None:  # the model states no uncertainty of its parameters
+        if path.motions.forces.spread is not None:  # the forces have standard deviations
             return _Expectation(None, None, [Issue("info", "no-bound", _NO_BOUND)])
         return _Expectation(None, None, list(checks.torque_warnings(program, robot, motion, *_loads(draft))))
     issues = list(checks.torque_warnings(program, robot, motion, *_loads(draft)))

@@ -52,14 +52,15 @@ def previous_samples(program: Program, motion: Ints) -> Ints:
 def runs(program: Program, motion: Ints, q: Array) -> Iterator[Run]:
     """Yield the runs of a path in order, and then a run for each motion that also begins elsewhere.
 
-    `Program.transitions` has the pairs of a motion and one that control flow may run before it.
+    A run: samples that the robot reaches one after another with one tool. `Program.transitions` has the pairs of a
+    motion and one that control flow may run before it.
 
     :param motion: (N,) row of `Motions` of each sample.
     :param q: (N, 6) joint angles [rad].
     """
     previous, tool = previous_samples(program, motion), program.motions.tool[motion]
-    is_begin = (previous[1:] != np.arange(len(motion) - 1)) | (tool[1:] != tool[:-1])
-    begins = np.append(0, np.flatnonzero(is_begin) + 1)
+    begins_elsewhere, is_other_tool = previous[1:] != np.arange(len(motion) - 1), tool[1:] != tool[:-1]
+    begins = np.append(0, np.flatnonzero(begins_elsewhere | is_other_tool) + 1)
     for begin, end in zip(begins.tolist(), [*begins[1:].tolist(), len(motion)], strict=True):
         yield Run(slice(begin, end), int(tool[begin]), int(previous[begin]))
     if not program.transitions:

@@ -333,14 +333,15 @@ def _piece_geometry(targets: Targets, start: Array, row: Ints) -> _PieceGeometry
     """
     motion, previous = targets.motion[row], np.maximum(row - 1, 0)
     end, previous_end = (np.round(targets.pose.position[rows], _DECIMALS) for rows in (row, previous))
-    is_first = (row == 0) | (targets.motion[previous] != motion)
-    begin = np.where(is_first[:, None], np.round(start[motion], _DECIMALS), previous_end)
+    is_first_of_motion = (row == 0) | (targets.motion[previous] != motion)
+    begin = np.where(is_first_of_motion[:, None], np.round(start[motion], _DECIMALS), previous_end)
     step = end - begin
     length = norm(step)
     leave = step / np.where(length > 0.0, length, 1.0)[:, None]
     arrive = leave.copy()
     arcs = np.flatnonzero(targets.kind[row] == CIRC)
     if len(arcs):
+        # radial: from the centre to the start of the arc; tangent: direction there, as long as the radius [m]
         _, radial, tangent, angle = circle_through(begin[arcs], np.round(targets.via[row[arcs]], _DECIMALS), end[arcs])
         radius, (sine, cosine) = norm(radial), sine_and_cosine(angle[:, None])
         leave[arcs] = tangent / radius[:, None]
@@ -516,8 +517,8 @@ def _unchanged_motions(path: PathUnderLoad, command: Commands) -> tuple[Bools, B
 def _status_and_turn(program: Program, robot: RobotModel, motion: Ints, q: Array) -> tuple[Ints, Ints]:
     """Return status S and turn T of targets (K,); −1 for none.
 
-    Only PTP targets have them; in a program that keeps its text, only those to which it gives them. Its other bits
-    remain.
+    Only PTP targets have them; in a program that keeps its text, only those to which it gives them. Of these, bits that
+    do not follow from the joint angles remain as the program has them.
 
     :param motion: (K,) motion of each target.
     :param q: (K, 6) commanded joint angles [rad].

@@ -151,12 +151,13 @@ def _mismatch(program: Program, targets: Targets, output_program: Program, row: 
     if len(row) != len(targets):
         return Issue("error", "read-back", f"the written program has {len(row)} targets instead of {len(targets)}")
     differs = (m.kind[row] != targets.kind) | (largest_differences(m.target.take(row), targets.pose) > _PRECISION)
-    for frames, expected_frames, frame, expected_frame in (
+    # frames (f, 4, 4) [m] of both programs, and the row in them that each target (K,) has
+    for frames, expected_frames, row_of_target, expected_row in (
         (output_program.bases, program.bases, m.base[row], nominal.base[targets.motion]),
         (output_program.tools, program.tools, m.tool[row], nominal.tool[targets.motion]),
     ):
         frames_differ = np.abs(twist_between(frames[:, None], expected_frames[None])).max(axis=2) > _PRECISION
-        differs |= frames_differ[frame, expected_frame]
+        differs |= frames_differ[row_of_target, expected_row]
     differs |= np.abs(m.feed[row] - nominal.feed[targets.motion]) > _PRECISION  # of PTP it is NaN, which is not more
     differs |= _other_track_position(program, targets, output_program, row)
     if differs.any():
@@ -395,13 +396,14 @@ class _ProbeErrors:
         self.near_limit = False
 
     def add(self, rows: slice, probes: _Probes) -> None:
-        """Compute the errors at the next probes.
+        """Compute the errors at the next probes: places of the written path at which the loaded arm is simulated.
 
         :param rows: those of these probes among all.
         :raises NotConvergedError: a commanded pose is out of reach, or there is no equilibrium; `rows` are of `probes`.
         """
         path, readback, driven_program = self._path, self._readback, self._driven_program
         target, motion, t, share = probes.target, probes.motion, probes.t, probes.share
+        # is_inside: between two targets; the other probes are at targets
         output_motion, is_inside = readback.row[target], probes.is_inside
         sample = self._nominal_samples(target, motion + t, is_inside)
         nominal = toolpath.at(path.program, path.motions.segments, motion, t)

@@ -91,16 +91,16 @@ def _operation_feeds(
     program_operations = operations(result.program)
     index_of_move = operation_indices(program_operations, np.arange(len(cuts)))
     for index, operation in enumerate(program_operations):
-        moves = cuts & (index_of_move == index)
-        if moves.any():
+        is_cut_of_operation = cuts & (index_of_move == index)
+        if is_cut_of_operation.any():
             entries.append(
                 OperationFeed(
                     name=operation.name,
                     tool=operation.tool,
-                    time_before_s=float(programmed_time[moves].sum()),
-                    time_after_s=float(written_time[moves].sum()),
-                    lowered_moves=int(np.count_nonzero(feeds.is_lowered & moves)),
-                    lowest_feed_mm_per_min=float(feeds.feed[moves].min()) * MM_PER_MIN,
+                    time_before_s=float(programmed_time[is_cut_of_operation].sum()),
+                    time_after_s=float(written_time[is_cut_of_operation].sum()),
+                    lowered_moves=int(np.count_nonzero(feeds.is_lowered & is_cut_of_operation)),
+                    lowest_feed_mm_per_min=float(feeds.feed[is_cut_of_operation].min()) * MM_PER_MIN,
                 )
             )
     return entries

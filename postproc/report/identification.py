@@ -110,11 +110,9 @@ def findings_section(data: IdentificationRecord) -> Section:
         Note(f"{entry.name} is not observable: {entry.reason}. {entry.advice} The model keeps the prior value.")
         for entry in unobservable
     )
-    # these parameters are in the notes already; "\0" begins no warning: without such parameters all warnings stay
+    # warnings about these parameters would repeat the notes; startswith(()) is False: without any, all warnings stay
     stated_beginnings = tuple(f"{entry.name} is not observable" for entry in unobservable)
-    warnings = tuple(
-        Note(text, "warning") for text in data.warnings if not text.startswith(stated_beginnings or ("\0",))
-    )
+    warnings = tuple(Note(text, "warning") for text in data.warnings if not text.startswith(stated_beginnings))
     return Section("to-know", "What to know", (Notes(unobservable_notes + warnings + assumptions, bulleted=True),))
 
 

@@ -25,7 +25,8 @@ _CHORD_DISTANCE_SHARE = 1.0 / 2000.0
 def drawn_path(result: Result, chord: float | None = None) -> tuple[Array, Ints]:
     """Return points along the nominal path, and the target to which each point leads.
 
-    Straight pieces have one point, their target; pieces of arcs have points before it.
+    A piece is the path from one target to the next. Straight pieces have one point, their target; pieces of arcs have
+    points before it.
 
     :param chord: largest distance of an arc from its chords [m]; None: `_CHORD_DISTANCE_SHARE` of the extent of the
         path.

@@ -31,7 +31,7 @@ def test_forces_of_a_process_are_those_at_the_feeds_of_the_second_program(seed):
             share = rng.choice([1.0, 1.0009, 0.9991, 1.0011, 0.5], p=[0.6, 0.15, 0.15, 0.05, 0.05])
             feeds[1][rows[1][k]] = share * feeds[0][rows[0][n]]
     sides = [
-        SimpleNamespace(program=replace(made, motions=replace(made.motions, feed=feed)), rows=own)
+        SimpleNamespace(program=replace(made, motions=replace(made.motions, feed=feed)), target_rows=own)
         for made, feed, own in zip((found.nominal, found.corrected), feeds, rows, strict=True)
     ]
     expected = feeds[0].copy()
@@ -84,8 +84,8 @@ def test_additional_targets_at_which_the_loaded_tip_is_on_the_path_were_inserted
     found = random_pairs(rng)
     rows = np.sort(np.append(found.pair[:, 0], np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[:2]))
     sides = (
-        SimpleNamespace(rows=rows, robot_in_cell=SimpleNamespace(tolerance=1e-4)),
-        SimpleNamespace(rows=np.arange(COUNT)),
+        SimpleNamespace(target_rows=rows, robot_in_cell=SimpleNamespace(tolerance=1e-4)),
+        SimpleNamespace(target_rows=np.arange(COUNT)),
     )
     loads = SimpleNamespace(
         path="forces", wrench=rng.normal(size=(len(rows), 6)), deflection=rng.normal(size=(len(rows), 3))

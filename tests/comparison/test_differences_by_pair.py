@@ -229,7 +229,9 @@ def test_a_target_next_to_an_inserted_one_may_belong_to_it_within_twice_the_larg
     tracks = [np.cumsum(rng.normal(0.0, 2e-4, (COUNT, 3)), axis=0) for _ in range(2)]
     tracks[1] = tracks[0][[min(int(k), COUNT - 1) for k in range(COUNT)]] + rng.normal(0.0, 1e-4, (COUNT, 3))
     sides = [
-        SimpleNamespace(rows=np.arange(COUNT), track=lambda position=position: SimpleNamespace(position=position))
+        SimpleNamespace(
+            target_rows=np.arange(COUNT), track=lambda position=position: SimpleNamespace(position=position)
+        )
         for position in tracks
     ]
     largest = max(

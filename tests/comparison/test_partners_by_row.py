@@ -34,9 +34,9 @@ def test_targets_without_a_partner_have_no_deviation(monkeypatch):
     """The others have that of the tip by the joints of their partners, under the force at the target."""
     rng = np.random.default_rng(2)
     joints, wrench = rng.normal(size=(7, 6)), rng.normal(size=(4, 6))
-    nominal = SimpleNamespace(rows=np.array([1, 3, 4, 6]))
+    nominal = SimpleNamespace(target_rows=np.array([1, 3, 4, 6]))
     corrected = SimpleNamespace(
-        rows=np.array([0, 2, 5]), joints=joints, carriage_displacement=lambda rows: np.stack([rows] * 3, axis=1)
+        target_rows=np.array([0, 2, 5]), joints=joints, carriage_displacement=lambda rows: np.stack([rows] * 3, axis=1)
     )
     calls = []
 
@@ -57,8 +57,8 @@ def sides_of(found):
     """Two paths whose Cartesian targets are all motions but some of the first program."""
     rows = np.setdiff1d(np.arange(COUNT), np.setdiff1d(np.arange(COUNT), found.pair[:, 0])[:1])
     return (
-        SimpleNamespace(program=found.nominal, rows=rows),
-        SimpleNamespace(program=found.corrected, rows=np.arange(COUNT)),
+        SimpleNamespace(program=found.nominal, target_rows=rows),
+        SimpleNamespace(program=found.corrected, target_rows=np.arange(COUNT)),
     )
 
 
@@ -69,21 +69,21 @@ def test_as_many_missing_as_additional_targets_between_two_pairs_were_moved(seed
     sides = sides_of(found)
     for made in (found.nominal, found.corrected):
         made.motions.kind[rng.random(COUNT) < 0.3] = PTP
-    missing = np.setdiff1d(sides[0].rows, found.pair[:, 0])
+    missing = np.setdiff1d(sides[0].target_rows, found.pair[:, 0])
     found = replace(found, only_nominal=missing)
     gaps = [{}, {}]
     for n, rows in enumerate((missing, found.additional_rows)):
         for row in rows:
             gaps[n].setdefault(int(sum(found.pair[:, n] < row)), []).append(int(row))
-    expected = np.full(len(sides[0].rows), -1)
+    expected = np.full(len(sides[0].target_rows), -1)
     for gap, rows in gaps[0].items():
         others = gaps[1].get(gap, [])
         for row, other in zip(rows, others, strict=True) if len(rows) == len(others) else ():
             if (found.nominal.motions.kind[row] == PTP) == (found.corrected.motions.kind[other] == PTP):
-                expected[sides[0].rows.tolist().index(row)] = other
+                expected[sides[0].target_rows.tolist().index(row)] = other
     assert partners.moved_partners(found, *sides).tolist() == expected.tolist()
     by_row = {int(a): int(b) for a, b in found.pair}
-    of_rows = [by_row.get(int(row), -1) for row in sides[0].rows]
+    of_rows = [by_row.get(int(row), -1) for row in sides[0].target_rows]
     assert partners.partners_of(found, *sides).tolist() == of_rows
 
 
@@ -149,7 +149,7 @@ def ways_of(rng, rest_is_nominal=True):
         arc_length = np.append(0.0, np.cumsum(rng.uniform(0.001, 0.02, COUNT)))
         rows = np.flatnonzero(np.isnan(joints[n][:, 0]))
         cell = SimpleNamespace(rest_is_nominal=rest_is_nominal)
-        sides.append(SimpleNamespace(program=made, arc_length=arc_length, rows=rows, robot_in_cell=cell))
+        sides.append(SimpleNamespace(program=made, arc_length=arc_length, target_rows=rows, robot_in_cell=cell))
     return replace(found, nominal=sides[0].program, corrected=sides[1].program), sides
 
 
@@ -193,7 +193,9 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
     assert ways.targets(found).tolist() == sorted([*found.inserted_rows.tolist(), *additional])
     begins_uncorrected = starts_uncorrected(corrected)
     pieces = [
-        r for r in corrected.rows.tolist() if kind[r] in (LIN, CIRC) and is_known[r] and not begins_uncorrected[r]
+        r
+        for r in corrected.target_rows.tolist()
+        if kind[r] in (LIN, CIRC) and is_known[r] and not begins_uncorrected[r]
     ]
     assert ways.pieces().tolist() == pieces
     inside = np.array([row for row in range(COUNT) if way[row] < 8])
@@ -204,8 +206,8 @@ def test_ways_between_pairs_are_compared_where_all_of_the_nominal_way_is_known(s
         expected.append(ways.begin[way[row]] + share * (ways.end[way[row]] - ways.begin[way[row]]))
     np.testing.assert_allclose(ways.guessed_lengths(inside), expected)
     place = rng.uniform(0.0, 1.0, COUNT)
-    rows = corrected.rows[corrected.rows < found.pair[-1, 1]]
-    before = [corrected.rows[corrected.rows < row] for row in rows]
+    rows = corrected.target_rows[corrected.target_rows < found.pair[-1, 1]]
+    before = [corrected.target_rows[corrected.target_rows < row] for row in rows]
     begins = [place[b[-1]] if len(b) else ways.begin[way[row]] for b, row in zip(before, rows, strict=True)]
     np.testing.assert_allclose(ways.begin_lengths(rows, place), begins)
 
@@ -224,7 +226,7 @@ def test_pieces_are_steep_where_their_ends_are_displaced_differently(seed):
         row = length.astype(int) - 1
         return nominal.points(np.nan_to_num(place[row])) + displaced[row]
 
-    corrected = SimpleNamespace(points=points, arc_length=arc_length, rows=rows)
+    corrected = SimpleNamespace(points=points, arc_length=arc_length, target_rows=rows)
     expected = []
     for k, row in enumerate(rows):
         before = rows[max(k - 1, 0)]
@@ -260,7 +262,7 @@ def test_wrenches_at_pairs_are_in_the_base_of_the_nominal_program(monkeypatch, s
     ],
 )  # fmt: skip
 def test_pairs_that_a_conversion_states_are_the_ends_of_motions(ends, count, expected):
-    sides = SimpleNamespace(rows=np.arange(count)), SimpleNamespace(rows=np.arange(5))
+    sides = SimpleNamespace(target_rows=np.arange(count)), SimpleNamespace(target_rows=np.arange(5))
     found = compare._stated_partners(*sides, None if ends is None else np.array(ends, dtype=bool))
     assert (None if found is None else found.tolist()) == expected
 
@@ -274,7 +276,7 @@ def test_targets_without_a_partner_in_one_conversion_were_inserted_or_passed(see
         found, passed_rows=rest[:1], passing_distance=np.array([1e-5]), only_nominal=rest[1:],
         missing_distance=rng.uniform(0.0, 1e-3, len(rest) - 1),
     )  # fmt: skip
-    changed = compare._explain_as_inserted(found, SimpleNamespace(rows=np.arange(COUNT)))
+    changed = compare._explain_as_inserted(found, SimpleNamespace(target_rows=np.arange(COUNT)))
     assert changed.passed_rows.tolist() == rest.tolist()
     np.testing.assert_array_equal(changed.passing_distance, [1e-5, *found.missing_distance])
     assert (len(changed.only_nominal), len(changed.missing_distance), len(changed.additional_rows)) == (0, 0, 0)
@@ -307,7 +309,7 @@ def test_points_of_lines_are_paired_only_where_the_other_path_misses_them(monkey
     ):  # fmt: skip
         monkeypatch.setattr(compare, name, function)
     loads = SimpleNamespace(path="forces") if has_load else None
-    sides = SimpleNamespace(rows=rows, is_continued=continued), SimpleNamespace(rows=rows)
+    sides = SimpleNamespace(target_rows=rows, is_continued=continued), SimpleNamespace(target_rows=rows)
     found = compare._all_pairs(*sides, partner, certain, loads)
     divides = [bool(continued[k] and partner[k] >= 0 and not certain[k] and has_load) for k in range(COUNT)]
     first = [-1 if divides[k] else int(partner[k]) for k in range(COUNT)]
