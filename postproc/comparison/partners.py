@@ -220,8 +220,9 @@ def judge_unpaired(
 def moved_partners(comparison: Comparison, nominal_path: PlacedProgram, corrected_path: PlacedProgram) -> Ints:
     """Return the partners (n,) of nominal targets that the second program has moved away; −1 for none.
 
-    A partner is an index in `corrected_path.target_rows`. If there are equal numbers of missing and additional targets between the same two pairs, they are partners in their
-    order: the first missing one and the first additional one, and so on. Both must be PTP, or both not.
+    A partner is an index in `corrected_path.target_rows`. If there are equal numbers of missing and additional targets
+    between the same two pairs, they are partners in their order: the first missing one and the first additional one,
+    and so on. Both must be PTP, or both not.
     """
     partner = np.full(len(nominal_path.target_rows), -1)
     missing_rows, additional_rows = comparison.only_nominal, comparison.additional_rows

@@ -250,7 +250,7 @@ def _comparison_text(improvement: Improvement | None) -> str:
     """
     if improvement is None or improvement.uncorrected_mm is None or improvement.corrected_mm is None:
         return "not known"
-    if improvement.chance is None:
+    if improvement.chance is None:  # the correction changes nothing
         return f"nothing is corrected; up to {two_digit_text(improvement.corrected_mm)} mm (95 %)"
     # largest and RMS of each program; the RMS is known where the largest is, so that `or` only serves its type
     errors = (

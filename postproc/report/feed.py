@@ -79,19 +79,19 @@ def feed_summary(result: Result) -> FeedSummary | None:
 
 
 def _operation_feeds(
-    result: Result, feeds: HeldFeed, cuts: Bools, programmed_time: Array, written_time: Array
+    result: Result, feeds: HeldFeed, is_cut: Bools, programmed_time: Array, written_time: Array
 ) -> list[OperationFeed]:
     """Return an entry for each operation with cutting moves.
 
-    :param cuts: (M,) True for cutting moves.
+    :param is_cut: (M,) True for cutting moves.
     :param programmed_time: (M,) duration of each move at the programmed feed [s], `written_time` (M,) at the written
         feed.
     """
     entries: list[OperationFeed] = []
     program_operations = operations(result.program)
-    index_of_move = operation_indices(program_operations, np.arange(len(cuts)))
+    index_of_move = operation_indices(program_operations, np.arange(len(is_cut)))
     for index, operation in enumerate(program_operations):
-        is_cut_of_operation = cuts & (index_of_move == index)
+        is_cut_of_operation = is_cut & (index_of_move == index)
         if is_cut_of_operation.any():
             entries.append(
                 OperationFeed(

@@ -282,18 +282,18 @@ def levels_section(data: IdentificationRecord) -> Section | None:
     angles = [level.q2_deg for level in data.k2_levels]
     compliances = [level.value for level in data.k2_levels]
     half_widths = [level.ci95 for level in data.k2_levels]
-    model_curve = data.k2_curve or []
+    model_curve = data.k2_curve or []  # pairs of q2 [deg] and compliance of the model
     texts = [
         f"q2 = {q:.1f}°: {k2:.4f} ± {half or 0:.4f}"  # no interval: ± 0
         for q, k2, half in zip(angles, compliances, half_widths, strict=True)
     ]
-    traces = [
+    model_traces = [
         Curve([q for q, _ in model_curve], [k2 for _, k2 in model_curve], "the model at small load", "correction")
     ]
     plot = Plot(
         label="Equivalent compliance of joint 2 at each level of q2, and of the model",
         traces=[
-            *(traces if model_curve else []),
+            *(model_traces if model_curve else []),
             Points(angles, compliances, "level by level", "after", half=half_widths, texts=texts),
         ],
         x=Axis(title="q2, °"),

@@ -146,14 +146,14 @@ class Operation(Struct, frozen=True):
 
 
 def operations(result: Result) -> list[Operation]:
-    """Return the operations that cut, in order; a program without marks of operations has one."""
-    starts = operation_starts(result.program, result.motion)
+    """Return the operations that cut, in order; a program that does not tell operations apart has one."""
+    starts = operation_starts(result.program, result.motion)  # first target → name and tool
     cutting_operations = []
     for first, end in pairwise([*sorted(starts), len(result)]):
         rows = slice(first, end)
         rapid = result.rapid[rows]
-        cutting = int(np.count_nonzero(~rapid))
-        if not cutting:
+        cutting_count = int(np.count_nonzero(~rapid))
+        if not cutting_count:
             continue
         name, tool = starts[first]
         first_cut = first + int(np.argmin(rapid))  # the first target that is not rapid
@@ -164,7 +164,7 @@ def operations(result: Result) -> list[Operation]:
                 first=first,
                 last=end - 1,
                 line=int(result.source_line[first_cut]),
-                cutting=cutting,
+                cutting=cutting_count,
                 before=statistics(norm(result.deviation_before[rows]), result.cut_length[rows]),
                 after=statistics(norm(result.deviation_after[rows]), result.cut_length[rows]),
                 bound=None if result.bound is None else statistics(result.bound[rows], result.cut_length[rows]),

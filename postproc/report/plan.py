@@ -181,20 +181,20 @@ def _comparison_content(result: PlanResult) -> dict[str, object]:
 
     A part is left out if it was not computed.
     """
-    criterion = _criterion_root_mm(result.plan.value)
-    random = np.sqrt(result.random) * MM_PER_M
+    plan_mm = _criterion_root_mm(result.plan.value)
+    random_mm = np.sqrt(result.random) * MM_PER_M  # (R,) of random plans
     content: dict[str, object] = {}
-    if len(random):
+    if len(random_mm):
         content["random"] = {
-            "plans": len(random),
-            "best_rms_mm": float(random.min()),
-            "median_rms_mm": float(np.median(random)),
-            "gain_over_best": float(random.min()) / criterion,
-            "gain_over_median": float(np.median(random)) / criterion,
+            "plans": len(random_mm),
+            "best_rms_mm": float(random_mm.min()),
+            "median_rms_mm": float(np.median(random_mm)),
+            "gain_over_best": float(random_mm.min()) / plan_mm,
+            "gain_over_median": float(np.median(random_mm)) / plan_mm,
         }
     if result.serial is not None:
-        serial = _criterion_root_mm(result.serial.value)
-        content["serial_approach"] = {"rms_mm": serial, "gain": serial / criterion}
+        serial_mm = _criterion_root_mm(result.serial.value)
+        content["serial_approach"] = {"rms_mm": serial_mm, "gain": serial_mm / plan_mm}
     if result.sizes:
         content["sizes"] = [
             {
@@ -258,21 +258,22 @@ def _comparison_lines(result: PlanResult) -> Iterator[str]:
 
     A line is left out if its comparison was not computed.
     """
-    criterion = _criterion_root_mm(result.plan.value)
+    plan_mm = _criterion_root_mm(result.plan.value)
     if result.before is not None:
         error = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
         if not math.isfinite(result.before.rms):
             error = "unknown, it does not determine every parameter"
         yield f"with what was measured so far alone: {error}"
     if len(result.random):
-        random = np.sqrt(result.random) * MM_PER_M
+        random_mm = np.sqrt(result.random) * MM_PER_M  # (R,) of random plans
+        median_mm = np.median(random_mm)
         yield (
-            f"criterion {criterion:.3g} mm; {len(random)} random plans: best {random.min():.3g}, median "
-            f"{np.median(random):.3g} mm ({np.median(random) / criterion:.2f} × the plan's)"
+            f"criterion {plan_mm:.3g} mm; {len(random_mm)} random plans: best {random_mm.min():.3g}, median "
+            f"{median_mm:.3g} mm ({median_mm / plan_mm:.2f} × the plan's)"
         )
     if result.serial is not None:
-        serial = _criterion_root_mm(result.serial.value)
-        yield f"semi-intuitive plan of the serial approach: {serial:.3g} mm ({serial / criterion:.2f} × the plan's)"
+        serial_mm = _criterion_root_mm(result.serial.value)
+        yield f"semi-intuitive plan of the serial approach: {serial_mm:.3g} mm ({serial_mm / plan_mm:.2f} × the plan's)"
 
 
 _ARROW_LENGTH = 0.45

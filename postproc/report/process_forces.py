@@ -142,7 +142,8 @@ def as_text(content: ForcesSummary) -> str:
             f"tool {tool.tool}: mean force up to {tool.max_force_N:g} N (line {tool.max_force_line}); "
             f"torque {tool.max_torque_Nm:g} N·m; power {tool.max_power_W:g} W"
         )
-        if tool.max_feed_force_N is not None:
+        is_drill = tool.max_feed_force_N is not None
+        if is_drill:
             lines.append(
                 f"  drilled up to {tool.max_depth_mm:g} mm deep, feed force up to {tool.max_feed_force_N:g} N, "
                 f"torque up to {tool.max_torque_Nm:g} N·m, {removal:.3g} cm³/min"

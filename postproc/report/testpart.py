@@ -134,12 +134,13 @@ def _remarks(design: Design, prior: Prior) -> list[str]:
 
 def _parameter_table(design: Design, prior: Prior) -> Table:
     """Return the table of standard deviations before and after the part is measured."""
-    # design.sigma: after the part, as shares of those before; design.change: a change is seen from this share on
+    # design.sigma: after the part, as shares of those before; design.change: smallest relative change that is seen
     rows = []
     for k, parameter in enumerate(prior.parameters):
-        prior_value, seen_change = prior.values[k], float(design.change[k])
+        prior_value, smallest_change = prior.values[k], float(design.change[k])
         sigma_percent = 100.0 * prior.sigma[k] / abs(prior_value) if prior_value else None
-        change_text = f"{100.0 * seen_change:.0f}" if seen_change < MOST_CHANGE else "not seen"
+        is_change_seen = smallest_change < MOST_CHANGE
+        change_text = f"{100.0 * smallest_change:.0f}" if is_change_seen else "not seen"
         rows.append(_parameter_row(parameter.title, sigma_percent, float(design.sigma[k]), change_text))
     # the last standard deviation, after those of the parameters, is that of the scale of the forces
     rows.append(

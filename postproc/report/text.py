@@ -85,10 +85,11 @@ def _fact_lines(content: Summary) -> list[str]:
         facts.append(f"compensated {percent_text(content.compensated_percent)}")
     if content.mode == "predict" and content.between_max_mm is not None:
         facts.append(f"anywhere on the path at most {estimate_text(content.between_max_mm, _largest_u95(content))} mm")
-    if content.mode == "predict" and content.tolerance_held is False:
+    is_path_missed = content.tolerance_held is False  # None: only the rounding of corners exceeds it
+    if content.mode == "predict" and is_path_missed:
         facts.append(f"tolerance {content.tolerance_mm:g} mm EXCEEDED")
     origin = content.provenance
-    if origin.state == "intact":
+    if origin.state == "intact":  # postproc wrote this program, and nobody has changed it since
         is_compensated = origin.mode == "corrected" and nothing_to_correct(content) is None
         correction_note = ": its targets compensate the deviation predicted here" if is_compensated else ""
         facts.append(f"written by postproc {origin.version} ({origin.mode}), unchanged since{correction_note}")

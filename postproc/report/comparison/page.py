@@ -246,7 +246,7 @@ def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str |
 
     None as for `_pair_of`.
 
-    :param pair_rows: (s,) pairs shown, ascending; they contain the pair.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending; they contain the pair.
     :param names: display names of the files of the nominal program.
     :param file: display name of the file.
     """
@@ -257,7 +257,7 @@ def _place_of(comparison: Comparison, pair_rows: Ints, names: Names, file: str |
 def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Sequence[Names]) -> Facts:
     """Return the facts for the script of the page: names, files and the place of the largest offset.
 
-    :param pair_rows: (s,) pairs shown, ascending.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     :param names: display names of the files of both programs.
     """
     size = np.where(comparison.rapid, -1.0, comparison.distance)[pair_rows]  # negative: not cutting
@@ -272,12 +272,13 @@ def _facts(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, 
 def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
     """Return the columns of pairs for the script of the page: mm, degrees, N, mm/s.
 
-    :param pair_rows: (s,) pairs shown, ascending.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     """
     nominal_places, corrected_places = (
         comparison.nominal.places(comparison.pair[pair_rows, 0]),
         comparison.corrected.places(comparison.pair[pair_rows, 1]),
     )
+    # "places" of the page are pairs shown; those of a program are files and lines
     columns = {
         "nominal_file": nominal_places.file,
         "nominal_line": nominal_places.line,
@@ -292,7 +293,7 @@ def _pair_columns(comparison: Comparison, pair_rows: Ints) -> Columns:
         **dict(zip(("oX", "oY", "oZ"), comparison.offset[pair_rows].T * MM_PER_M, strict=True)),
         **dict(zip("XYZABC", xyzabc_from_pose(comparison.target[pair_rows]).T, strict=True)),
     }
-    if comparison.cuts is not None:
+    if comparison.cuts is not None:  # else no forces are known
         columns["force"] = norm(comparison.cuts.wrench[pair_rows, :3])
         columns["nominal_cuts"] = norm(comparison.cuts.nominal[pair_rows]) * MM_PER_M
         columns["corrected_cuts"] = norm(comparison.cuts.corrected_deviation[pair_rows]) * MM_PER_M
@@ -308,12 +309,13 @@ def _place_section() -> Section:
 def _path_section(comparison: Comparison, rows: Ints) -> Section:
     """Return the section with both paths in space, offsets exaggerated to about a tenth of the extent of the path.
 
-    :param rows: (s,) pairs shown, ascending.
+    :param rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     """
     path = _drawn_path(comparison, rows)
     extent = float(np.ptp(path.point, axis=0).max())
-    largest = float(norm(path.offset).max())
-    factor = _round_scale(0.1 * extent / largest) if largest * MM_PER_M > ROUNDING_MM and extent > 0.0 else 1.0
+    largest_offset = float(norm(path.offset).max())
+    is_offset_shown = largest_offset * MM_PER_M > ROUNDING_MM and extent > 0.0
+    factor = _round_scale(0.1 * extent / largest_offset) if is_offset_shown else 1.0
     larger = f", offsets {factor:g} times larger" if factor > 1.0 else ""
     traces = [
         _path_line(path.point, "nominal", "before", path.place),
@@ -359,7 +361,7 @@ def _drawn_path(comparison: Comparison, rows: Ints) -> _DrawnPath:
 
     Between consecutive pairs both paths are followed: arcs are drawn as arcs.
 
-    :param rows: (s,) pairs shown, ascending.
+    :param rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     """
     if comparison.curves is None:
         return _DrawnPath(comparison.target[rows, :3, 3], comparison.offset[rows], np.arange(len(rows)))
@@ -391,7 +393,7 @@ def _path_line(points: Array, name: str, colour: Colour, place: Ints) -> Lines:
 def _program_plots_section(comparison: Comparison, content: ComparisonSummary, rows: Ints, nominal: Names) -> Section:
     """Return the section with offsets and, where forces are known, deviations along the program.
 
-    :param rows: (s,) pairs shown, ascending.
+    :param rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     :param nominal: display names of the files of the nominal program.
     """
 
@@ -428,7 +430,7 @@ def _histogram_section(comparison: Comparison, pair_rows: Ints) -> Section:
 
     A click on a bar leads to the shown pair with the largest offset in it.
 
-    :param pair_rows: (s,) pairs shown, ascending.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     """
     cutting, total = ~comparison.rapid, float(comparison.cut_length.sum())
     percent = 100.0 * comparison.cut_length[cutting] / (total or 1.0)
@@ -456,7 +458,7 @@ def _operations_section(
 ) -> Section:
     """Return the section with the largest values of each operation of the nominal program.
 
-    :param pair_rows: (s,) pairs shown, ascending.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     :param names: display names of the files of both programs.
     """
     head = ["Operation", "Tool", "First line", "Cutting targets", "Offset, mm"]
@@ -483,7 +485,7 @@ def _operations_section(
 def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequence[Names]) -> Section:
     """Return the section with the table of the cutting pairs with the largest offsets.
 
-    :param pair_rows: (s,) pairs shown, ascending; they contain those of the table.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending; they contain those of the table.
     :param names: display names of the files of both programs.
     """
     head = [
@@ -516,7 +518,7 @@ def _worst_pairs_section(comparison: Comparison, pair_rows: Ints, names: Sequenc
 def _issues_section(comparison: Comparison, content: ComparisonSummary, pair_rows: Ints, names: Names) -> Section:
     """Return the section with the differences that are not of positions; a row leads to the pair at its line.
 
-    :param pair_rows: (s,) pairs shown, ascending.
+    :param pair_rows: (s,) pairs shown, as rows of `Comparison.pair`, ascending.
     :param names: display names of the files of the nominal program.
     """
     if not content.issues:

@@ -670,7 +670,10 @@ def _targets_of_state(state: str, nominal: Ints | None, corrected: Ints | None) 
 
 
 def _numbers_of_targets(comparison: Comparison, targets: _TableTargets) -> Array:
-    """Return the columns `_NUMBER_COLUMNS` (n, k) of targets, not yet in the order of the file; NaN without a value."""
+    """Return the columns `_NUMBER_COLUMNS` (n, k) of targets, not yet in the order of the file; NaN without a value.
+
+    Pairs come first, in the order of `Comparison.pair`, then targets without a partner.
+    """
     pair_count, nominal_row, corrected_row = len(comparison.pair), targets.nominal, targets.corrected
     nominal_motions, corrected_motions = comparison.nominal.motions, comparison.corrected.motions
     nominal_pose, corrected_pose = (np.full((len(targets.state), 6), np.nan) for _ in range(2))
