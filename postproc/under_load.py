@@ -119,6 +119,7 @@ def _root_distance(program: Program, motion: Ints, pose: Array, t: float) -> Arr
 def _reach(robot: RobotModel) -> float:
     """Return the largest distance of the flange from the robot's root [m], without joint limits."""
     q = np.zeros((len(_GRID) ** 3, 6))
+    # A1 turns all of the arm; at the largest distance the wrist is stretched, where A4 and A6 only spin the flange
     q[:, 1], q[:, 2], q[:, 4] = (angle.ravel() for angle in np.meshgrid(_GRID, _GRID, _GRID))
     return _MARGIN * float(norm(kinematics.tcp(robot.nominal, q, np.eye(4))[0][:, :3, 3]).max())
 

@@ -347,16 +347,16 @@ def _is_steep(nominal_path: PlacedProgram, corrected_path: PlacedProgram, pieces
     return ~np.asarray(changes <= _STEEP_CHANGE)  # True for NaN
 
 
-def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, steep: Bools) -> tuple[Ints, Array]:
+def places_on_pieces(corrected_path: PlacedProgram, pieces: Ints, is_steep: Bools) -> tuple[Ints, Array]:
     """Return places (row, t), (k,) each, inside of lines and arcs of the second program.
 
     :param pieces: (n,) motions of the second program.
-    :param steep: (n,) True where the displacement differs between both ends: more places are checked there.
+    :param is_steep: (n,) True where the displacement differs between both ends: more places are checked there.
     """
     kind, segments = corrected_path.program.motions.kind[pieces], corrected_path.segments
     is_arc = kind == CIRC
     length, turn = segments.length[pieces], segments.turn[pieces]
-    part_counts = number_of_places(kind, length, turn, is_curved=is_arc, is_steep=is_arc | steep)
+    part_counts = number_of_places(kind, length, turn, is_curved=is_arc, is_steep=is_arc | is_steep)
     row, t = toolpath.even_places(pieces, np.maximum(part_counts, _MIN_PARTS))
     is_inside = t < 1.0
     return row[is_inside], t[is_inside]
@@ -466,7 +466,7 @@ class Search(Struct, frozen=True, eq=False):
         return tip - self.nominal_path.points(length)
 
     def _tip(self, q: Array, displacement: Array, motion: Ints, wrench: Array) -> Array:
-        """Return the loaded tips (n, 3) in the cell [m] at joint angles q (n, 6) [rad].
+        """Return the loaded tips (n, 3) in the cell (robot root at E1 = 0) [m] at joint angles q (n, 6) [rad].
 
         :param displacement: (n, 3) of the robot by E1 [m].
         :param motion: (n,) nominal motions, whose tool is used; `wrench` (n, 6) at the tip, root axes [N, N·m].

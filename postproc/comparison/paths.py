@@ -81,7 +81,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         )
 
     def track(self, offset: Array | float = 0.0) -> Track:
-        """Return the n Cartesian targets, with their positions in the robot root.
+        """Return the n Cartesian targets, with their positions in the robot root and the steps to them.
 
         :param offset: (n, 3) by which they are displaced, in their `$BASE` [m]; 0: they are not.
         """
@@ -100,7 +100,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
         return np.append(toolpath.continues(self.program, self.segments)[1:], False)
 
     def at(self, length: Array) -> tuple[Ints, Array]:
-        """Return the places (motion, t), each (n,), at arc lengths `length` (n,) [m]; t > 0."""
+        """Return the motions (n,) at arc lengths `length` (n,) [m], and the places t (n,) on them, in (0, 1]."""
         motion = np.clip(np.searchsorted(self.arc_length, length) - 1, 0, len(self.arc_length) - 2)
         size = np.maximum(self.size[motion], NO_DISTANCE)
         return motion, np.clip((length - self.arc_length[motion]) / size, SMALLEST_SHARE, 1.0)
@@ -126,7 +126,7 @@ class PlacedProgram(DrivenProgram, frozen=True, eq=False, dict=True):
 
 
 def in_cell(program: Program, motion: Ints, point: Array) -> Array:
-    """Return points (n, 3) in the cell [m].
+    """Return points (n, 3) in the cell [m]: the frame of the robot root where that is at E1 = 0.
 
     :param motion: (n,) rows of `Motions`.
     :param point: (n, 3) in the `$BASE` of these motions [m].
@@ -250,7 +250,10 @@ class Chain(Struct, frozen=True, eq=False):
         return cls(side.program, side.segments, row, pair, np.concatenate([[0.0], end[:-1]]), end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
-        """Return the motions (n,) and the places t (n,) on them, in (0, 1], at u (n,), 0 < u <= P − 1."""
+        """Return the motions (n,) and the places t (n,) on them, in (0, 1], at u (n,), 0 < u <= P − 1.
+
+        Pair k is at u = k; between pairs u grows with the length of the path.
+        """
         index = np.minimum(np.searchsorted(self.end, u), len(self.end) - 1)
         width = np.maximum(self.end[index] - self.begin[index], NO_DISTANCE)
         return self.row[index], np.clip((u - self.begin[index]) / width, SMALLEST_SHARE, 1.0)
@@ -356,7 +359,10 @@ class Curves(Struct, frozen=True, eq=False):
         return len(tools[0]) == len(tools[1]) == 1 and bool(np.abs(twist_between(*tools)).max() <= SAME_FRAME)
 
     def _is_curved(self, u: Array) -> Bools:
-        """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines."""
+        """Return where (n,) the distance of the paths may be largest inside a piece: at arcs, not between two lines.
+
+        A piece is a part of both paths between ends of motions of either program; it contains one u (n,).
+        """
         if not self._has_same_tool:
             return np.ones(len(u), dtype=bool)
         motion, row = self.nominal_chain.at(u)[0], self.corrected_chain.at(u)[0]

@@ -338,7 +338,9 @@ def _margin_changes(step: Array) -> Array:
 
     :param step: (9, n) largest change from one sample of the arc to the next.
     """
+    # between samples a smooth quantity changes little more than by the step from one to the next
     change = _STEPS * step
+    # near a singularity the steps do not bound the change: at least so much is counted
     change[_WRIST] = np.maximum(change[_WRIST], _NEAR_WRIST)
     change[_SHOULDER] += checks.SHOULDER_RADIUS
     change[_ELBOW] = _NEAR_ELBOW
@@ -370,7 +372,7 @@ def _line_stretches(path: PathUnderLoad, q: Array, is_fast: Bools) -> Stretches:
         :param turn: (n,) of the tool [rad].
         """
         start_margin, margin, step = _margins_and_steps(path, q, rows)
-        change = _STEPS * step
+        change = _STEPS * step  # rows: A1…A6 and |A5| [rad], shoulder [m], elbow [rad]
         change[:_SHOULDER] += length / _SMALLEST_LEVER + _JOINT_PER_TOOL_TURN * turn
         change[_SHOULDER] += length + _REACH_PER_TURN * turn + checks.SHOULDER_RADIUS
         change[_ELBOW] = _ELBOW_PER_M * length + _ELBOW_PER_TURN * turn

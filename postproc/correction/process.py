@@ -419,6 +419,7 @@ def _causes_at_rest(robot: RobotModel, cell: Cell) -> tuple[str, ...]:
         for cause, is_present in (
             ("the payload", cell.payload.mass_kg > 0.0),
             ("the calibrated geometry", not robot.geometry_is_nominal),
+            # with `subtract_reference` deflections count from the arm under its own weight
             ("the weight of the arm", robot.has_weight and not robot.subtract_reference),
         )
         if is_present
@@ -431,7 +432,7 @@ def _printed_numbers(task: Task, draft: Draft) -> Array:
         return draft.simulation.numbers
     targets, program = draft.selection.targets, draft.path.program
     numbers = targets.pose.xyzabc(slice(None))
-    if task.mode == "predict" and program.keeps_text:
+    if task.mode == "predict" and program.keeps_text:  # the text of the program itself states the ends of motions
         ends = targets.t == 1.0
         numbers[ends] = program.numbers_as_written()[targets.motion[ends]]
     return numbers
@@ -583,11 +584,13 @@ class _PartErrors:
         uncorrected_rounding = 0.0 if self.draft.path.program.keeps_text else self.extra_rounding
         is_cut = self.cut_length > 0.0
         has_deviation = float(norm(self.deviation).max(initial=0.0)) > _NO_DEVIATION
+        with_known_robot, with_known_forces = self.largest_errors.tolist()
         return ExpectedErrors(
-            np.where(is_cut, self.uncorrected_error + uncorrected_rounding, 0.0),
-            np.where(is_cut, self.corrected_error + self.extra_rounding + self.path_excess, 0.0),
-            self.gain.chance if has_deviation else None,
-            *self.largest_errors.tolist(),
+            before=np.where(is_cut, self.uncorrected_error + uncorrected_rounding, 0.0),
+            after=np.where(is_cut, self.corrected_error + self.extra_rounding + self.path_excess, 0.0),
+            chance=self.gain.chance if has_deviation else None,
+            with_known_robot=with_known_robot,
+            with_known_forces=with_known_forces,
         )
 
 
@@ -782,6 +785,8 @@ class _Division(NamedTuple):
 def _refine_until_tolerated(task: Task, motions: MotionsUnderLoad) -> tuple[Task, Draft]:
     """Draft the program; insert targets each round where its simulation exceeds the tolerance.
 
+    A draft is a program with its targets chosen, written as text, read back and simulated under load.
+
     :returns: the task, with an issue if moves were slowed, and the draft.
     """
     division = _Division(_first_pieces(task, motions), motions.swing_places)
@@ -840,7 +845,7 @@ def _first_pieces(task: Task, motions: MotionsUnderLoad) -> Pieces:
     Where the number of pieces is uncertain, it follows from the path error of larger ones.
     """
     pieces = motions.pieces(linearize_arcs=task.linearize_arcs)
-    if pieces.uncertain.any():
+    if pieces.uncertain.any():  # arcs whose path error is not known from the forces alone
         path = PathUnderLoad.of(motions, pieces)
         pieces = arc_pieces(CommandedPath.of(path, _commands(task, path)))
     return pieces
@@ -880,13 +885,13 @@ def _written_draft(task: Task, path: PathUnderLoad) -> Draft:
     try:
         return draft if draft.failed else draft.write(task)
     except ProgramError:
-        if task.mode == "predict":
+        if task.mode == "predict":  # nothing is to be written: the text only serves to simulate the correction
             return draft
         raise
 
 
 def _unwritten_draft(task: Task, path: PathUnderLoad) -> Draft:
-    """Draft the program with targets at some of the samples."""
+    """Draft the program with targets at some of the samples, without its text and simulation."""
     command = _commands(task, path)
     selection = choose_targets(path, command, task.writer.least_arc, linearize_arcs=task.linearize_arcs)
     return Draft.of(task, path, command, selection)

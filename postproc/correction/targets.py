@@ -70,7 +70,8 @@ class CommandedPath(Struct, frozen=True, eq=False):
             path.program, lambda motion: command.pose[ends[motion]], path.robot_in_cell.start_flange
         )
         position = command.pose.position
-        start = position[np.roll(ends, 1)]
+        start = position[np.roll(ends, 1)]  # the end of the motion before
+        # those that do not begin there, or in another frame; the first motion is among them
         start[starts.changed] = starts.pose[:, :3, 3]
         return cls(path.sample, path.arcs, position, start, SHARE_OF_TOLERANCE * path.robot_in_cell.tolerance)
 
@@ -270,11 +271,11 @@ class Corners(Struct, frozen=True):
 
 
 def _corners(bend: Array, length: Array, is_continuous: Bools) -> Corners:
-    """Return corners.
+    """Return the corners at the ends of pieces, which lead from one target to the next.
 
     :param bend: (K − 1,) distance between the unit directions at the end of each piece and at the start of the next,
         which are zero where a piece has none.
-    :param length: (K,) [m].
+    :param length: (K,) of the pieces [m].
     :param is_continuous: (K,) whether the next piece follows at once, in the same frames.
     """
     sharpness, reach = np.zeros(len(length)), np.zeros(len(length))
@@ -356,9 +357,9 @@ def corners_of_motions(program: Program, path: Segments, motion: Ints) -> Corner
     :param path: geometry of all motions of the program.
     """
     kind = program.motions.kind[motion]
-    before, after = motion[:-1], motion[1:]
-    arrive = toolpath.tangent(program, path, before, np.ones(len(before)))
-    leave = toolpath.tangent(program, path, after, np.zeros(len(after)))
+    arriving, leaving = motion[:-1], motion[1:]  # the motions before and after each corner but the last
+    arrive = toolpath.tangent(program, path, arriving, np.ones(len(arriving)))
+    leave = toolpath.tangent(program, path, leaving, np.zeros(len(leaving)))
     return _corners(norm(leave - arrive), path.length[motion], _is_continuous(program, motion, kind))
 
 

@@ -136,7 +136,7 @@ def _other_track_position(program: Program, targets: Targets, output_program: Pr
 
     :param row: (K,) motion of the program as read back that ends at each target.
     """
-    if program.carriage is None or output_program.carriage is None:
+    if program.carriage is None or output_program.carriage is None:  # wrong everywhere if only one has the axis
         return np.full(len(targets), program.carriage is not output_program.carriage)
     carriage = program.carriage.at(targets.motion, targets.t)
     return np.asarray(np.abs(output_program.carriage.at(row) - carriage) > _PRECISION)
