@@ -528,7 +528,7 @@ def load(path: str | Path) -> Cell:
     path = Path(path)
     file = str(path)
     missing_advice = f"Write one with: postproc init {argument(path)}"
-    cell = files.read_toml(path, CellFile, CellError, _EXAMPLE, missing_advice)
+    cell = files.read_toml(path, CellFile, CellError, example=_EXAMPLE, missing_advice=missing_advice)
     if cell.start is not None and _looks_like_radians(cell.start.joints):
         advice = "Angles are in degrees: write 110 for 1.92 rad. If degrees are meant, round them."
         raise CellError(f"[start] joints = {list(cell.start.joints)} look like radians", file=file, advice=advice)

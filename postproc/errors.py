@@ -44,9 +44,8 @@ def nearest_name(name: str, valid: Iterable[str]) -> str | None:
 
     name_of_lowercase = {valid_name.lower(): valid_name for valid_name in valid}
     nearest = get_close_matches(name.lower(), name_of_lowercase, n=1, cutoff=0.7)
-    nearest = (
-        nearest or [valid_name for valid_name in name_of_lowercase if len(name) > 3 and name.lower() in valid_name][:1]
-    )
+    if not nearest and len(name) > 3:  # a shorter word would be in many names
+        nearest = [valid_name for valid_name in name_of_lowercase if name.lower() in valid_name][:1]
     return name_of_lowercase[nearest[0]] if nearest else None
 
 

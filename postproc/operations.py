@@ -132,7 +132,8 @@ def ignored_comments(program: Program) -> tuple[Event, ...]:
             name and not is_name and not FORCE_COMMENT.match(event.text) and not _END_OPERATION.match(event.text)
         )
         is_at_retract = _is_at_retract(program, event.before, [event], lines, has_change=False)
-        if is_name != is_at_retract and (is_name or is_remark):
+        is_ignored_name, is_ignored_remark = is_name and not is_at_retract, is_remark and is_at_retract
+        if is_ignored_name or is_ignored_remark:
             comments_without_operation.append(event)
     return tuple(comments_without_operation)
 
@@ -163,12 +164,14 @@ def _operation_starts(program: Program, names: Names) -> Iterator[_Start]:
 
     :param names: which comments name operations.
     """
-    m = program.motions
+    motions = program.motions
     boundary_events = [
-        event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(m)
+        event for event in program.events if event.kind in ("comment", "tool_change") and event.before < len(motions)
     ]
-    frames = np.flatnonzero((np.diff(m.base) != 0) | (np.diff(m.tool) != 0)) + 1
-    starts = {0: ("", 1)} | {row: ("", int(m.line[row])) for row in frames.tolist()}
+    # first motions with another `$BASE` or `$TOOL` than the motion before
+    frame_changes = np.flatnonzero((np.diff(motions.base) != 0) | (np.diff(motions.tool) != 0)) + 1
+    no_name = ""
+    starts = {0: (no_name, 1)} | {row: (no_name, int(motions.line[row])) for row in frame_changes.tolist()}
     starts |= _starts_at_events(program, boundary_events, names)
     rows = sorted(starts)
     for row, tool in zip(rows, _tools_at(program, boundary_events, rows), strict=True):
@@ -255,7 +258,7 @@ def _separate_events(events: list[Event], lines: dict[int, str]) -> list[Event]:
 def _is_at_retract(program: Program, row: int, events: list[Event], lines: dict[int, str], *, has_change: bool) -> bool:
     """Return whether comments before motion `row` may name an operation: not if they are between two cutting motions.
 
-    They may after a blank line, at a tool change and at the begin of the program even there.
+    Even there they may after a blank line, at a tool change and at the beginning of the program.
 
     :param events: the events before the motion.
     :param lines: of the events, and those before them: number → text.
@@ -299,7 +302,10 @@ def _naming_comment(events: list[Event], *, is_first: bool, is_explicit: bool) -
 
 
 def _join_operations(program: Program, starts: Iterable[_Start]) -> Iterator[Operation]:
-    """Yield operations: starts without a cut join the next one, and runs with one name and tool are one."""
+    """Yield operations from the places where they may begin.
+
+    A start without a cutting motion belongs to the operation that follows; neighbours with one name and tool are one.
+    """
     runs: list[_Start] = []
     for start in _cutting_starts(program, list(starts)):
         if not runs or (start.name, start.tool) != (runs[-1].name, runs[-1].tool):
@@ -320,7 +326,8 @@ def _cutting_starts(program: Program, starts: list[_Start]) -> Iterator[_Start]:
     count = len(program.motions)
     cuts_before = np.concatenate([[0], np.cumsum(~program.motions.rapid)])  # number of cutting motions before each
     stops = [*(start.row for start in starts[1:]), count]
-    begin, name, last_tool, has_new_name = 0, "", -1, False  # −1: no tool yet
+    # `begin`: first motion of the operation that is not complete yet; −1: no tool yet
+    begin, name, last_tool, has_new_name = 0, "", -1, False
     for start, stop in zip(starts, stops, strict=True):
         if start.tool != last_tool:
             # between a comment and its tool change there may be a move to home: its name is that of this operation

@@ -31,7 +31,7 @@ _CONTENT = re.compile(r"\s*(\d+)((?:\s+\w+=\S+)*)\s*")
 
 
 class Origin(Struct, frozen=True):
-    """What a program was made by and from.
+    """The version and the inputs from which a program was made; a comment line of the program states them.
 
     :param version: of postproc.
     :param mode: ``"corrected"`` or ``"nominal"``.
@@ -50,16 +50,16 @@ class Origin(Struct, frozen=True):
 
 
 class Provenance(Struct, frozen=True):
-    """What a program says of where it comes from.
+    """The origin that a program states in a comment line, and whether its text is still as written.
 
-    :param state: ``"intact"``: the text is what was written; ``"changed"``: it was edited since, or says what this
-        version does not understand; ``"none"``: nothing is said.
-    :param mode: ``"corrected"`` or ``"nominal"``; empty if it is not said.
+    :param state: ``"intact"``: the text is what was written; ``"changed"``: it was edited since, or its line is of
+        another format; ``"none"``: it states no origin.
+    :param mode: ``"corrected"`` or ``"nominal"``; empty if it is not stated.
     :param version: of postproc; likewise.
-    :param line: 1-based line that says it; 0 if there is none.
-    :param sums: `source`, `cell`, `model` and `forces` as in `Origin`, as far as they are said.
+    :param line: 1-based line of the statement; 0 if there is none.
+    :param sums: `source`, `cell`, `model` and `forces` as in `Origin`, as far as they are stated.
     :param options: the options with which it was written.
-    :param part_of: name of the program that calls this one, which is but a part of it; empty if it is a whole one.
+    :param part_of: name of the main file of a divided program, if this file is one of its parts; empty: it is not.
     """
 
     state: State
@@ -85,7 +85,7 @@ def digest_of(documents: Iterable[Document]) -> str:
 
 
 def of(documents: Sequence[Document], comment: str) -> Provenance:
-    """Return what the files of a program, the main one first, say of where they come from.
+    """Return the origin that the files of a program, the main one first, state in their comment line.
 
     :param comment: what comments begin with: ``;`` in KRL.
     """
@@ -145,7 +145,7 @@ def mark(
 
 
 def _provenance_lines(text: str, comment: str) -> list[re.Match[str]]:
-    """Return the lines of a text that say where a program comes from, in order; their first group is the content.
+    """Return the lines of a text that state the origin of a program, in order; their first group is the content.
 
     :param comment: what comments begin with: ``;`` in KRL.
     """
@@ -170,7 +170,7 @@ def _patterns(comment: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
 
 
 def _digest_without_line(documents: Sequence[Document], line: re.Match[str]) -> str:
-    """Return the SHA-256 of the files of a program, the main one first, without the line that says where it is from."""
+    """Return the SHA-256 of the files of a program, the main one first, without the line that states its origin."""
     return digest_of([_cut_line(documents[0], *line.span()), *documents[1:]])
 
 

@@ -41,8 +41,10 @@ class TouchedFrames(Struct, frozen=True, eq=False):
     def of(cls, points: Array, shift: Array, weight: Array, base: Ints) -> TouchedFrames:
         """Fit the displacement over points of the cuts.
 
-        :param points: (n, 3) of the nominal tip, `shift` (n, 3) from there at rest, `weight` (n,), and `base` (n,) the
-            row of the `$BASE` of each.
+        :param points: (n, 3) nominal tip at each point, robot root [m].
+        :param shift: (n, 3) displacement of the tip there by the arm at rest [m].
+        :param weight: (n,) weights of the points.
+        :param base: (n,) row of the `$BASE` of each point in `Program.bases`.
         """
         fit = rigid_displacement(points, shift, weight)
         residual = shift - (points @ fit[:3, :3].T + fit[:3, 3] - points)
@@ -53,15 +55,20 @@ class TouchedFrames(Struct, frozen=True, eq=False):
         return cls(fit, centre, errors.T @ errors / len(errors))
 
     def slopes(self, points: Array) -> Array:
-        """Return the displacement (n, 3, 6) of points (n, 3) for one unit of each error of the frame."""
-        turning = -hat(points - self.centre)
-        return np.concatenate([np.broadcast_to(np.eye(3), turning.shape), turning], axis=2)
+        """Return the derivatives (n, 3, 6) of points (n, 3) [m] by the errors of the frame: displacement, rotation."""
+        by_rotation = -hat(points - self.centre)  # r × (p − c) = −(p − c) × r
+        by_displacement = np.broadcast_to(np.eye(3), by_rotation.shape)
+        return np.concatenate([by_displacement, by_rotation], axis=2)
 
 
 def _errors_by_touch(points: Array, residual: Array, centre: Array) -> Array:
-    """Return the errors (m, 6) of a frame for each choice of touched points, as `TouchedFrames.covariance` has them.
+    """Return the errors (m, 6) of a frame, one for each choice of three touched points.
 
-    :param points: (n, 3) of the cuts in one `$BASE`, `residual` (n, 3) what the fit leaves there [m].
+    Each is the displacement at the centre [m] and the rotation vector [rad], robot root.
+
+    :param points: (n, 3) of the cuts in one `$BASE` [m].
+    :param residual: (n, 3) displacement of the arm at rest less that of the rigid body fitted to it [m].
+    :param centre: (3,) of all cuts [m].
     """
     far_rows = _far_points(points)
     triples = np.array(list(permutations(far_rows, _TOUCHED_POINTS)), dtype=np.int64).reshape(-1, _TOUCHED_POINTS)
@@ -69,7 +76,7 @@ def _errors_by_touch(points: Array, residual: Array, centre: Array) -> Array:
     area = norm(np.cross(edges[:, 0], edges[:, 1]))
     largest_edge = norm(edges).max(initial=0.0)
     if area.max(initial=0.0) <= _FLAT_SHARE * largest_edge**2:
-        # points of a line give no frame: that was touched elsewhere, and is displaced as they are
+        # points on one line give no frame: it was touched elsewhere, and is assumed to be off by their residuals
         return np.concatenate([residual[far_rows], np.zeros((len(far_rows), 3))], axis=1)
     triples = triples[area >= _LEAST_AREA_SHARE * area.max()]
     # from the frame of the points where they are to the frame of the points as the arm touches them

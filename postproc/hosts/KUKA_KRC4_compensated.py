@@ -320,10 +320,12 @@ def _compare_postures(conversion: Converted, joints: dict[int, list[float]]) -> 
     with table.open(encoding="utf-8", newline="") as stream:
         for row in csv.DictReader(stream):
             station_angles = joints.get(int(row["source_line"]))
-            if station_angles is None or float(row["t"]) < 1.0:
+            is_inserted = float(row["t"]) < 1.0  # within its motion, of which RoboDK knows the end only
+            if station_angles is None or is_inserted:
                 continue
             angles = [float(row[axis]) for axis in _AXES[:6]]
-            if max(abs(angle - station_angle) for angle, station_angle in zip(angles, station_angles)) > 1.0:
+            largest_difference = max(abs(angle - station) for angle, station in zip(angles, station_angles))
+            if largest_difference > 1.0:
                 for path in conversion.files:
                     path.unlink()
                 raise HostError(

@@ -293,7 +293,7 @@ def convert_program(
     computed_forces: ProcessForces | None = None
     if job.process is None:
         source = force_source(job.forces, cell)
-        result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize, to=job.to)
+        result = correction.process(program, robot, cell, source, mode=mode, linearize_arcs=linearize, to=job.to)
     else:
         result, computed_forces = _convert_with_process(
             job, settings, cell, robot, program, process=job.process, progress=progress

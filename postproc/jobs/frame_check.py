@@ -174,6 +174,8 @@ def _frames_by_points(check: FrameCheck, tool: Array, base: Array, centre: Array
 def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Array, sigma: float) -> FrameCheck:
     """Return the simplest explanation of touched points: no error, `$TOOL`, `$BASE` or both, by a χ² test.
 
+    Each explanation is a hypothesis: a matrix whose columns are the residuals by a unit of each error of a frame.
+
     :param flange: (n, 3, 3) orientation of the flange in the root.
     :param nominal_point: (n, 3) points in the root by `$BASE` of the cell [m].
     :param tip: (n, 3) tip in the root by joint angles and `$TOOL` [m].
@@ -195,14 +197,16 @@ def judge(touches: TouchedPoints, flange: Array, nominal_point: Array, tip: Arra
     visible_length = _smallest_residual(tool_columns, matrices["base"])
     if suspect == "none" and visible_length < _LEAST_VISIBLE:
         suspect = "unturned" if angle_between(flange[:1], flange).max() < _LEAST_TURN else "one-axis"
-    # hypotheses whose errors are stated: two if they explain the points equally well
-    frames = {"tool": ("tool",), "base": ("base",), "both": ("both",), "undecided": ("tool", "base")}.get(suspect, ())
+    # whose errors are stated: two if they explain the points equally well
+    hypotheses = {"tool": ("tool",), "base": ("base",), "both": ("both",), "undecided": ("tool", "base")}.get(
+        suspect, ()
+    )
     errors: dict[str, Any] = {}
-    for name in frames:
+    for name in hypotheses:
         errors |= _frame_errors(name, matrices[name], residual, sigma)
     if suspect == "none":
         errors["hidden_error"] = _INTERVAL_FACTOR * sigma / visible_length
-    best_hypothesis = frames[0] if frames else "both" if suspect == "contradiction" else "none"
+    best_hypothesis = hypotheses[0] if hypotheses else "both" if suspect == "contradiction" else "none"
     distances, distances_left = (norm(values.reshape(-1, 3)) for values in (residual, residual_left[best_hypothesis]))
     return FrameCheck(suspect=suspect, points=touches, distances=distances, distances_left=distances_left, **errors)
 

@@ -325,11 +325,11 @@ class OutputPlan:
         for job in self.jobs:
             self._folders[job.output].add(job)
         self._check(settings.cell)
-        self._waiting = deque([job] for job in self.jobs)
+        self._waiting_groups = deque([job] for job in self.jobs)
         """Groups of jobs that have not begun; the jobs of a group are converted in sequence."""
-        self._later: dict[Path, deque[Job]] = {}
+        self._jobs_in_turn: dict[Path, deque[Job]] = {}
         """Program in work → further jobs of its group."""
-        self._complete: list[_PendingOutput] = []
+        self._pending_outputs: list[_PendingOutput] = []
         """Converted programs whose files wait for those of other programs."""
 
     def divide(self, cell: Cell) -> None:
@@ -344,16 +344,16 @@ class OutputPlan:
         order = {job.program: number for number, job in enumerate(self.jobs)}
         groups = [group for folder in self._folders.values() for group in groups_in_sequence(folder.jobs, cell)]
         sorted_groups = [sorted(group, key=lambda job: order[job.program]) for group in groups]
-        self._waiting = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
+        self._waiting_groups = deque(sorted(sorted_groups, key=lambda group: order[group[0].program]))
 
     def ready(self) -> Iterable[Task]:
         """Yield the tasks that may begin now, and remove them from those that wait.
 
         The next program of a group waits until the outcome of the program before it is passed to `accept`.
         """
-        while self._waiting:
-            job, *waiting_jobs = self._waiting.popleft()
-            self._later[job.program] = deque(waiting_jobs)
+        while self._waiting_groups:
+            job, *waiting_jobs = self._waiting_groups.popleft()
+            self._jobs_in_turn[job.program] = deque(waiting_jobs)
             yield self._folders[job.output].task(job)
 
     def accept(self, task: Task, outcome: Outcome) -> list[Outcome]:
@@ -363,24 +363,24 @@ class OutputPlan:
 
         :returns: final outcomes of this task, and of programs whose files waited for it; empty while its files wait.
         """
-        waiting_jobs = self._later.pop(task.job.program)
+        waiting_jobs = self._jobs_in_turn.pop(task.job.program)
         if waiting_jobs:
-            self._waiting.appendleft(list(waiting_jobs))
+            self._waiting_groups.appendleft(list(waiting_jobs))
         folder = self._folders[task.job.output]
         folder.record_conversion(task.job)
-        final: list[Outcome] = []
+        final_outcomes: list[Outcome] = []
         if outcome.staged_files is None:
-            final.append(self._failure(task.job, outcome))
+            final_outcomes.append(self._failure(task.job, outcome))
         else:
             try:
-                self._complete.append(self._complete_program(task, outcome))
+                self._pending_outputs.append(self._pending_output(task, outcome))
                 folder.record_files(task.job, outcome)
             except InputError as cause:
                 files.discard(outcome.staged_files)
-                final.append(self._failure(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
+                final_outcomes.append(self._failure(task.job, Outcome(outcome.program, FAILED, message=str(cause))))
         for group in self._take_groups():
-            final += self._replace_files(group)
-        return final
+            final_outcomes += self._replace_files(group)
+        return final_outcomes
 
     def _check(self, cell: Path) -> None:
         """Check the names of the files that the jobs will write.
@@ -425,7 +425,7 @@ class OutputPlan:
                     "name with --name.",
                 )
 
-    def _complete_program(self, task: Task, outcome: Outcome) -> _PendingOutput:
+    def _pending_output(self, task: Task, outcome: Outcome) -> _PendingOutput:
         """Return a converted program with the earlier files that it removes, and its partners.
 
         :param outcome: outcome with staged files and summary.
@@ -464,11 +464,11 @@ class OutputPlan:
         return _PendingOutput(task=task, outcome=outcome, obsolete=tuple(obsolete), partners=partners)
 
     def _take_groups(self) -> list[list[_PendingOutput]]:
-        """Return the groups of programs whose files belong together and are all complete; remove them from `_complete`.
+        """Return the groups of programs whose files belong together and are all complete; these are pending no more.
 
         Groups with a partner that is still to be converted stay.
         """
-        programs, complete_groups, incomplete = self._complete, [], []
+        programs, complete_groups, incomplete = self._pending_outputs, [], []
         while programs:
             group = [programs[0]]
             for program in group:  # the list grows in the loop until no program has a further partner
@@ -482,7 +482,7 @@ class OutputPlan:
                 incomplete += group
             else:
                 complete_groups.append(group)
-        self._complete = incomplete
+        self._pending_outputs = incomplete
         return complete_groups
 
     def _share_files(self, program_a: _PendingOutput, program_b: _PendingOutput) -> bool:

@@ -154,13 +154,15 @@ def at_written_feed(
 
     :param source: source of the forces of the process; other parameters: see `correction.process`.
     """
-    result = correction.process(program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
+    result = correction.process(program, robot, cell, source, mode=mode, linearize_arcs=linearize_arcs, to=to)
     for _ in range(_MOST_CAPPINGS):
         capped_feeds = tuple(issue for issue in result.issues if issue.kind == _CAPPED)
         if not capped_feeds or result.failed:
             break
         slowed_program = _with_feed(program, result.program.motions.feed)
-        result = correction.process(slowed_program, robot, cell, source, mode, linearize_arcs=linearize_arcs, to=to)
+        result = correction.process(
+            slowed_program, robot, cell, source, mode=mode, linearize_arcs=linearize_arcs, to=to
+        )
         if not any(issue.kind == _CAPPED for issue in result.issues):
             return replace(result, issues=(*result.issues, *capped_feeds))
     return result
@@ -354,7 +356,9 @@ _ASIDE_SINE = 0.2
 
 
 def _aside_notes(path: PathUnderLoad, deviation: Array) -> list[Issue]:
-    """Return a note if the deflected tool does not move along the command, along which chips and forces are computed.
+    """Return a note if the deflected tool does not move along the commanded path, the command.
+
+    Chips and forces are computed along the command.
 
     This happens where the force changes within a short way, as at the end of a slot or in a corner. The command of a
     corrected program steps aside there, and the tool goes straight.
@@ -423,17 +427,17 @@ def predict_in_material(
         path = PathUnderLoad.of(motions, motions.pieces(linearize_arcs=False))
         deviation = _deviation(path)
     except ImpossiblePathError:  # the result says why
-        return correction.process(program, robot, cell, source, "predict"), source
+        return correction.process(program, robot, cell, source, mode="predict"), source
     if source.process_forces is None:
-        return correction.process(program, robot, cell, source, "predict"), source
+        return correction.process(program, robot, cell, source, mode="predict"), source
     cut = _real_cut(path, source, deviation)
-    result = correction.process(program, robot, cell, cut.source, "predict")
+    result = correction.process(program, robot, cell, cut.source, mode="predict")
     if result.failed:
         return result, cut.source
     message = _real_cut_message(path.wrench, result.wrench, source, cut.source, cut.rounds)
     note = Issue("info" if cut.is_settled else "warning", "real-cut", message)
     hits = [issue for issue in source.process_forces.issues if issue.kind in ("rapid-in-material", "collision")]
-    engagement_result = correction.process(program, robot, cell, source, "predict")
+    engagement_result = correction.process(program, robot, cell, source, mode="predict")
     issues = (*result.issues, *hits, note, *_aside_notes(path, cut.deviation))
     return replace(result, issues=issues, engagement_result=engagement_result), cut.source
 

@@ -425,7 +425,9 @@ def _robot_program(request: TestPartRequest, name: str, text: str, cell: Cell) -
         robot = load_robot(cell.robot, cell.folder)
         to = robot.language if robot.language and registry.dialect_of_name(robot.language).writer is not None else None
         (job,) = find_jobs([str(path)], output=request.output, to=to)
-        result = correction.process(read_program(path, robot, cell), robot, cell, None, "nominal", to=job.to)
+        result = correction.process(
+            read_program(path, robot, cell), robot, cell, source=None, mode="nominal", to=job.to
+        )
         if result.failed:
             problem = next(issue for issue in result.issues if issue.level == "error")
             raise InputError(problem.message, file=name, line=problem.source_line)
