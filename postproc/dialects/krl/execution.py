@@ -268,7 +268,9 @@ class Execution(Struct, frozen=True, eq=False):
     def branch_error(self, problem: str, row: int, fork_rows: Collection[int], advice: str) -> BranchError:
         """Return the error that the branches of some forks cannot be corrected.
 
-        :param row: row of the trace that the error names; `fork_rows`: the rows of these forks.
+        A fork is a row behind which the program divides into branches.
+
+        :param row: row of the trace (line in execution order) that the error names; `fork_rows`: rows of these forks.
         """
         base = self.trace.error(problem, row, advice)
         error = BranchError(base.problem, file=base.file, line=base.line, text=base.text, advice=base.advice)

@@ -16,14 +16,14 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from itertools import zip_longest
 from typing import NoReturn, TypeGuard
 
 from msgspec import Struct, field
 from msgspec.structs import replace
 
-from postproc.dialects.changed_data import FollowedRun, later_difference
+from postproc.dialects.changed_data import Difference, FollowedRun, later_difference
 from postproc.dialects.rapid.effects import BoundArgument, Effects, bound_arguments, called_names, results
 from postproc.dialects.rapid.instructions import (
     CONSTANT,
@@ -589,7 +589,9 @@ class Execution:
                 variable.forget(cause.problem if isinstance(cause, UnknownValueError) else "its place is not known")
 
     def _execute_conditional(self, statement: Conditional, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute the branch taken; if it is not known, skip it and all further branches, see `_skip`.
+        """Execute the branch taken; if it is not known, skip it and all further branches.
+
+        Data that they may change become unknown.
 
         :param routine: the routine that contains the statement.
         :param depth: number of calls around the routine.
@@ -662,7 +664,9 @@ class Execution:
             self.result.rounds.setdefault(loop.start, []).append((loop, values))
 
     def _execute_loop_without_moves(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> None:
-        """Execute a loop without moves if its rounds are known and not too many; otherwise skip it, see `_skip`.
+        """Execute a loop without moves if its rounds are known and not too many; otherwise skip it.
+
+        Data that it may change become unknown then.
 
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
@@ -728,7 +732,7 @@ class Execution:
     def _execute_while(self, loop: Loop, scope: Scope, routine: Routine, depth: int) -> list[float]:
         """Execute WHILE; return the numbers of its rounds, from 0, as FOR returns the values of its variable.
 
-        ``WHILE TRUE`` never returns, see `_follow_endless`.
+        ``WHILE TRUE`` never returns: one round is executed, and the program stays in it.
 
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
@@ -736,7 +740,7 @@ class Execution:
         """
         (condition,) = loop.bounds  # the condition of WHILE is in place of the bounds of FOR
         if condition.kind == "bool" and condition.value:
-            self._follow_endless(loop, scope, routine, depth)
+            self._follow_endless(loop, scope, routine, depth)  # raises
         rounds: list[float] = []
         while True:
             try:
@@ -804,7 +808,7 @@ class Execution:
         :param routine: the routine that contains it.
         :param depth: number of calls around the routine.
         :param first_round: moves and notes of the first round, counted from its beginning.
-        :param changed_names: names of data that the first round has changed, see `_data_by_name`.
+        :param changed_names: names of data (`_data_by_name`) that the first round has changed.
         :raises RapidError: a later round differs, or cannot be followed.
         """
         data = self._data_by_name(scope)
@@ -844,20 +848,13 @@ class Execution:
         for variable, copy in copies:
             variable.copy_from(copy)
         if difference is not None:
+            # data that change and are used; settings of moves are no data and are never among the used ones
+            names = difference.names & used_names or difference.names
             spellings = {
                 name: name if variable.declaration is None else variable.declaration.spelling
                 for name, variable in data.items()
             }
-            relevant_names = difference.names & used_names or difference.names
-            names = first_of(sorted(spellings.get(name, name) for name in relevant_names), _MOST_NAMES)
-            moves = "moves" if difference.is_certain else "may move"
-            raise RapidError(
-                f"a later round of this loop without end {moves} differently here: each round changes {names} for the "
-                "next",
-                difference.place,
-                f"Set {names} at the beginning of the round. Or put the moves of the part into a procedure of its own, "
-                "without the loop, and name the file like it.",
-            )
+            raise _round_error(difference, sorted(spellings.get(name, name) for name in names))
 
     def _data_by_name(self, scope: Scope) -> dict[str, Variable]:
         """Return all data that a routine, or routines that it calls, may use.
@@ -1036,6 +1033,24 @@ class Execution:
         if value is not None:
             self.result.cell_data[name] = type_
         return value
+
+
+def _round_error(difference: Difference, changed_names: Sequence[str]) -> RapidError:
+    """Return the error that a later round of a loop without end moves differently.
+
+    :param difference: where it does.
+    :param changed_names: data that each round changes for the next, as spelled.
+    """
+    names = first_of(changed_names, _MOST_NAMES)
+    moves = "moves" if difference.is_certain else "may move"
+    problem = (
+        f"a later round of this loop without end {moves} differently here: each round changes {names} for the next"
+    )
+    advice = (
+        f"Set {names} at the beginning of the round. Or put the moves of the part into a procedure of its own, without "
+        "the loop, and name the file like it."
+    )
+    return RapidError(problem, difference.place, advice)
 
 
 def _check_names(modules: tuple[Module, ...]) -> None:

@@ -228,7 +228,7 @@ class _Reader:
         return self.frames[type_]
 
     def _notes(self, expanded_program: ExpandedProgram) -> tuple[tuple[Comment, ...], tuple[ForceNote, ...]]:
-        """Return the force comments, and the force note of each with the index of the motion that it precedes.
+        """Return the force comments, and of each the note: its wrench, and the index of the motion that it precedes.
 
         :raises InputError: force comments cannot be read; all errors together.
         """
@@ -442,7 +442,9 @@ class _Reader:
         return np.asarray(_pose(user) @ _pose(frame))
 
     def _check_targets(self, numbers: Array, line: Ints) -> None:
-        """Check the numbers (n, 17) of robtargets, see `FIELDS`; errors name the lines (n,).
+        """Check the numbers (n, 17) of robtargets; errors name the lines (n,).
+
+        They are x, y, z [mm], q1…q4, cf1, cf4, cf6, cfx and six external axes.
 
         :raises ProgramError: a target is out of reach of any robot, or its orientation or configuration is not valid.
         """

@@ -346,7 +346,7 @@ class _Rewriter:
 
         :param row: the move.
         :param k: target at its end.
-        :param uses: see `_rewrite_point`.
+        :param uses: uses of named targets, which `_rewrite_point` fills.
         """
         move = self.moves[row]
         is_circle = int(self.targets.kind[k]) == CIRC
@@ -404,7 +404,7 @@ class _Rewriter:
 
         The declaration is edited if all moves that name the data get the same target, and if nothing else names them.
 
-        :param uses: see `_rewrite_point`.
+        :param uses: offset of the literal of named data → (offset of the argument, new target as text) for each use.
         """
         if not uses:
             return

@@ -340,7 +340,7 @@ class Parser:
     def _first_operand(self, level: int) -> Expression:
         """Parse the first operand of an expression, with NOT or the sign before it.
 
-        :param level: see `expression`.
+        :param level: index in `_OPERATORS` of the loosest operators that the expression may have.
         :raises RapidSyntaxError: it is not valid, or nested too deeply.
         """
         start = self.start

@@ -124,7 +124,8 @@ def triggers(trace: Trace, rows: Sequence[tuple[int, int, bool]], length: Array)
     CONST_VEL and STOP WHEN PATH count as triggers at the start or the end of their motion.
 
     :param trace: the lines of the program in execution order.
-    :param rows: `trace_row`, `motion` and `is_attached` of n triggers, see `Trigger`.
+    :param rows: for n triggers, the row of the trace, the index of the motion that each refers to, and True if only
+        comments and other TRIGGERs are between the two.
     :param length: (n,) lengths of their motions along the path [m].
     """
     for (trace_row, motion, is_attached), path_length in zip(rows, length.tolist(), strict=True):

@@ -195,7 +195,7 @@ class _Folder(Struct, eq=False):
         # 0: unchanged
 
     def _line_of_row(self, row: int) -> int:
-        """Return the line in its file of a row of the trace."""
+        """Return the line in its file of a row of the trace (of the lines in execution order)."""
         return self.execution.trace.line.item(row - 1)
 
     def _loop_changes(self, loop: UnrolledLoop) -> object:
@@ -263,7 +263,7 @@ class _Folder(Struct, eq=False):
     def _body_lines(self, body: Body, begin: int = 0) -> _WrittenLines:
         """Return the corrected lines of a body: of one round of a loop, or one run of a routine.
 
-        :param begin: first row of the trace to write; 0: the first row of the body.
+        :param begin: first row of the trace (line in execution order) to write; 0: the first row of the body.
         """
         written_lines, row = [], begin or body.first
         for structure in body.loops_and_calls:
@@ -277,7 +277,10 @@ class _Folder(Struct, eq=False):
         return _concatenate([*written_lines, remaining_lines]) if written_lines else remaining_lines
 
     def _row_lines(self, first: int, stop: int) -> _WrittenLines:
-        """Return the corrected rows first … stop − 1 of the trace, which must be consecutive lines of a file."""
+        """Return the corrected rows first … stop − 1 of the trace (lines in execution order) as written lines.
+
+        They must be consecutive lines of a file.
+        """
         if stop <= first:
             return _WrittenLines(0, ())
         begins = self.edited.begins  # lines that are written before each row; rows count from 1
@@ -286,6 +289,8 @@ class _Folder(Struct, eq=False):
 
     def _counter_line(self, loop: UnrolledLoop, row: int, blanks: str) -> _WrittenLines:
         """Return a new line that assigns the counter of a FOR the value that a row of the trace assigns it.
+
+        The trace has the lines in execution order, and a row for the counter of each round.
 
         :param blanks: indentation of the line.
         """
@@ -356,7 +361,7 @@ class _Folder(Struct, eq=False):
         """Return the line of a call, with the name of the version that it calls.
 
         Add the places of the called rows to the version, and its lines if it has none. Add a call of a routine in
-        another file to `outside_calls`.
+        another file to `outside_calls`: its rows are reported at the call.
         """
         body, version = self._body_lines(call.body), self._version_of_call[call]
         if version.lines is None:
@@ -444,7 +449,10 @@ class _Folder(Struct, eq=False):
         return "".join(item if isinstance(item, str) else self._text_of_rows(*item) for item in lines.content)
 
     def _text_of_rows(self, first: int, stop: int) -> str:
-        """Return the corrected text of rows first … stop − 1 of the trace, which are consecutive lines of a file."""
+        """Return the corrected text of rows first … stop − 1 of the trace (lines in execution order).
+
+        They are consecutive lines of a file.
+        """
         source, line = self.execution.trace.place(first)
         shift = line - first  # from a row to its line in the file
         edited = slice(*np.searchsorted(self.edited.rows, [first, stop]).tolist())  # those of the edited rows

@@ -228,7 +228,7 @@ def is_used_by_motions_only(name: str, layout: Layout, mentions: Mentions) -> bo
     of all variables that it is copied to or from, and none of them may be GLOBAL.
 
     :param name: the variable, upper case.
-    :param mentions: all places at which code names a variable, see `Mentions`.
+    :param mentions: variable, upper case → places at which code names it.
     """
     names = {name}
     # repeat until no further copies are found
@@ -247,7 +247,7 @@ def editable_layout(
 
     Motions to them become `statements`, whose points `NamedPoints` corrects one by one.
 
-    :param mentions: all places at which code names a variable, see `Mentions`.
+    :param mentions: variable, upper case → places at which code names it.
     :param file_count: number of files that are written: the `.src` and its `.dat`.
     :param has_one_target: (M,) True for motions with a single target, whose text has all components that it needs.
     """

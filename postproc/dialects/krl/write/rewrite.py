@@ -522,7 +522,9 @@ class _Rewriter:
     def _targets_of_next_round(self, rows: Ints, note: Ints) -> list[int]:
         """Return the first target under force of a LOOP without EXIT, if another force may be stated as its round ends.
 
-        :param rows: (K,) rows of the trace with the motions of the targets.
+        It needs a comment: its next round would begin under that force.
+
+        :param rows: (K,) rows of the trace (the lines in execution order) with the motions of the targets.
         :param note: (K,) index in `notes` of the last note that applies to each target; −1: none.
         """
         loop, forces = self.layout.execution.endless_loop, self.comment_forces
