@@ -224,7 +224,8 @@ class _Search:
     def _measure(self, first: int, second: int, rows: Ints, distance: Array) -> None:
         """Enter the distances at rows of samples where they are NaN, and record hits and the smallest distance.
 
-        :param distance: (n,) distances of the bodies at all samples [m]; changed in place.
+        :param first: row of a body in `Solids.bodies`, and `second` of the other.
+        :param distance: (n,) distances of the bodies at all samples [m], NaN: not computed yet; changed in place.
         """
         rows = rows[np.isnan(distance[rows])]
         distance[rows] = self._distance(first, second, self.frames[rows])

@@ -215,6 +215,8 @@ class NewProgram:
     def turning_speeds(self) -> Array:
         """Return the rotational speed at each target (K,) [deg/s]; NaN where the program states none.
 
+        A program states it for motions that turn the tool without moving its tip.
+
         Also NaN above `_FASTEST_TURN`: the controller limits the speed itself.
         """
         swivel = self.program.swivel

@@ -144,6 +144,8 @@ class PathForces(Struct, frozen=True, eq=False):
     def _columns_in_base(self, columns: Callable[[Ints], Array], sample: Toolpath) -> Array:
         """Return columns (N, 2, 3, m) of force and moment at samples in `$BASE` axes: linear between knots.
 
+        Knots are the places on motions at which the forces are given.
+
         Between knots of one frame columns are interpolated in that frame and then rotated. On a ramp, whose first knot
         is in `$BASE` axes, the later knot is rotated first.
 

@@ -161,7 +161,8 @@ def equations(readings: CutReadings, tool: ToolTable) -> Array:
     """
     radius, teeth = 0.5 * tool.diameter_mm, tool.flutes
     width = np.where(np.array(readings.mode) == "slot", 2.0 * radius, np.minimum(readings.width, 2.0 * radius))
-    arc = np.arccos(1.0 - width / radius)
+    arc = np.arccos(1.0 - width / radius)  # angle of the turn in which a tooth is in the material [rad]
+    # angles are 0 where a tooth begins in up milling, with no chip, and π where it ends in down milling
     is_down = np.array(readings.mode) == "down"
     start_angle, end_angle = np.where(is_down, np.pi - arc, 0.0), np.where(is_down, np.pi, arc)
     chip_thickness = readings.feed / (readings.rpm * teeth)

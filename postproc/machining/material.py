@@ -219,7 +219,7 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         sigma=_sigma_percent(material, entry) / 100.0,
         name=material.name or "given in [material]",
         warning=entry.warning if isinstance(entry, Entry) else _unit_warning(entry),
-        unknown_axial=0.0 if has_axial_force else _UNKNOWN_AXIAL_SHARE,
+        unknown_axial=0.0 if has_axial_force else _UNKNOWN_AXIAL_SHARE,  # a standard deviation
         covariance=covariance,
     )
 

@@ -791,7 +791,7 @@ def _lowest_position(
     :param travel: (L, h, w) length along the segment of the point nearest to the cell [m]; `square` the square of the
         distance of the cell from the line of the segment [m²]; `half_chord` half the chord of the tool over the cell
         [m].
-    :param length: (L, 1, 1) of the segments, seen from above [m]; `slope` (L, 1, 1) of their rise.
+    :param length: (L, 1, 1) of the segments, seen from above [m]; `slope` (L, 1, 1) their rise over that length.
     """
     a = np.minimum(np.maximum(travel - half_chord, 0.0), length).astype(float)
     b = np.minimum(np.maximum(travel + half_chord, 0.0), length).astype(float)

@@ -321,7 +321,7 @@ def _reference(axis: Array) -> Array:
 def _opposite_directions(moves: _Moves, source: Statements) -> list[Fault]:
     """Return the fault that the tool comes straight from above and, elsewhere, straight from below; else no fault.
 
-    The fault is at the later of the two first moves.
+    There is no shortest rotation from one to the other. The fault is at the later of the two first moves.
     """
     sides = (("above", moves.axis[:, 2] > -_OPPOSITE_COSINE), ("below", moves.axis[:, 2] < _OPPOSITE_COSINE))
     first_moves = sorted((int(np.argmax(is_side)), side) for side, is_side in sides if is_side.any())
@@ -353,13 +353,13 @@ def _events(
     :param motion_moves: (M,) moves that are motions.
     :param motions: these motions.
     """
-    course_events = [
+    statement_events = [
         Event(
-            int(np.searchsorted(motion_moves, event.before)),  # number of motions before it
-            event.kind,
-            int(source.line[event.row]),
-            event.value,
-            event.text,
+            before=int(np.searchsorted(motion_moves, event.before)),  # number of motions before it
+            kind=event.kind,
+            line=int(source.line[event.row]),
+            value=event.value,
+            text=event.text,
         )
         for event in result.events
         if event.kind != "comment" or parse_force_note(event.text, 1, "") is None
@@ -367,9 +367,9 @@ def _events(
     # index of the first motion on or behind the line of each comment
     motion_index = np.searchsorted(motions.line, [line for line, _ in comments]).tolist()
     comment_events = [
-        Event(before, "comment", line, 0.0, text) for (line, text), before in zip(comments, motion_index, strict=True)
+        Event(before, "comment", line, text=text) for (line, text), before in zip(comments, motion_index, strict=True)
     ]
-    yield from sorted([*course_events, *comment_events], key=lambda event: (event.before, event.line))
+    yield from sorted([*statement_events, *comment_events], key=lambda event: (event.before, event.line))
 
 
 def _issues(result: ExecutionResult, source: Statements, moves: _Moves, motion_moves: Ints) -> Iterator[Issue]:

@@ -474,7 +474,7 @@ class _Execution:
             self.row = call.begin
             # local names have no value when the subprogram begins again
             self.parameters.leave()
-            self.parameters.enter(None)
+            self.parameters.enter(None)  # M98 passes no arguments
             return
         self._leave_subprogram()
 

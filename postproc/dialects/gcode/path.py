@@ -332,12 +332,12 @@ class _LineFaults:
         """Add a fault, unless its line has one."""
         self._faults.setdefault(fault.row, fault)
 
-    def check(self, is_wrong: Bools, problem: str, advice: str | None = None, *, first: bool = False) -> None:
+    def check(self, is_wrong: Bools, problem: str, advice: str | None = None, *, only_first: bool = False) -> None:
         """Add a fault for each line (L,) that is wrong, at most `MAX_ERRORS` + 1: no more are shown.
 
-        :param first: for the first of these lines only.
+        :param only_first: report the first of these lines only, since the others have the same cause.
         """
-        for row in np.flatnonzero(is_wrong)[: 1 if first else MAX_ERRORS + 1].tolist():
+        for row in np.flatnonzero(is_wrong)[: 1 if only_first else MAX_ERRORS + 1].tolist():
             self.add(Fault(row, problem, advice))
 
     def in_order(self) -> list[Fault]:
@@ -382,10 +382,10 @@ def _check_feeds(lines: LineStates, doubt: _Doubt, faults: _LineFaults) -> None:
     cuts = ((lines.has_motion_code | lines.is_moving) & is_feed_motion) | lines.is_drilling
     has_no_feed = cuts & ~(lines.feed > 0.0) & ~doubt.motion & ~doubt.feed  # also NaN
     has_no_g93_feed = has_no_feed & lines.is_inverse_time & lines.is_moving
-    faults.check(has_no_feed & ~lines.is_inverse_time, "cutting move without a feed", "Give F.", first=True)
+    faults.check(has_no_feed & ~lines.is_inverse_time, "cutting move without a feed", "Give F.", only_first=True)
     faults.check(has_no_g93_feed, "cutting move in G93 without a feed", "Give F in each block.")
     advice = "Write G94, and F in mm/min or inch/min."
-    faults.check(lines.is_drilling & lines.is_inverse_time, "a cycle in G93", advice, first=True)
+    faults.check(lines.is_drilling & lines.is_inverse_time, "a cycle in G93", advice, only_first=True)
 
 
 def _repeats_advice(lines: LineStates, row: int) -> str | None:
@@ -422,18 +422,20 @@ def _check_unknown_positions(lines: LineStates, moves: Moves, doubt: _Doubt, fau
         is_within = (row >= first) & (row <= complete_row)
         is_early = has_axis_word & is_within & ~doubt.position
         problem = "incremental move before the position is known"
-        faults.check(is_early & lines.is_incremental, problem, advice, first=True)
+        faults.check(is_early & lines.is_incremental, problem, advice, only_first=True)
         begin = first + int(np.argmax(has_axis_word[first:])) if has_axis_word[first:].any() else first
         # a single line that gives X, Y and Z at once is no low move
         is_low = (begin != complete_row) & below_top(lines, first, complete_row)
         is_line = lines.motion == 1.0  # G1
         is_low_cut = (is_line & is_low) | (lines.is_drilling & (row < complete_row))
         is_cut = is_early & is_low_cut & ~doubt.motion
-        faults.check(is_cut, "cutting move before the position is known", advice, first=True)
+        faults.check(is_cut, "cutting move before the position is known", advice, only_first=True)
         is_unknown_arc = lines.is_moving & _is_arc(lines) & is_within & ~doubt.motion & ~doubt.position
-        faults.check(is_unknown_arc, "arc before the position is known", advice, first=True)
+        faults.check(is_unknown_arc, "arc before the position is known", advice, only_first=True)
         has_other_offset = is_early & (moves.offset != moves.offset[begin])
-        faults.check(has_other_offset, "change of the work offset before the position is known", advice, first=True)
+        faults.check(
+            has_other_offset, "change of the work offset before the position is known", advice, only_first=True
+        )
 
 
 class _Doubt:
@@ -445,6 +447,10 @@ class _Doubt:
     """
 
     def __init__(self, lines: LineStates, faults: Sequence[Fault]) -> None:
+        """Find the lines that may depend on the text of a fault, which was not read (`Fault.lost_text`).
+
+        Any G in it may be a motion code, or a code that changes the position.
+        """
         count = len(lines.motion)
         if not faults:
             self.motion = self.position = self.feed = np.zeros(count, dtype=bool)
@@ -705,15 +711,15 @@ def _targets(moves: Moves, motion_moves: Ints, frame: Ints, swivel: Swivel | Non
     return Poses(position, rotation)
 
 
-def _corner_distances(modes: Modes, row: Ints, is_bottom: Bools, speeds: Speeds) -> tuple[Array, Array]:
+def _corner_distances(modes: Modes, row: Ints, is_in_hole: Bools, speeds: Speeds) -> tuple[Array, Array]:
     """Return approximation distance (M,) [m] and permitted rounding of corners (M,) [m] at the ends of motions.
 
     :param row: (M,) row of the line of each motion.
-    :param is_bottom: (M,) motions in a hole, which are exact stops.
+    :param is_in_hole: (M,) motions of cycles that begin or end in a hole: exact stops, since the tool reverses there.
     """
     approximation = take_rows(active_values(modes.blends, speeds.approximation, modes.row_count), row)
-    if is_bottom.any():
-        approximation = np.where(is_bottom, 0.0, approximation)
+    if is_in_hole.any():
+        approximation = np.where(is_in_hole, 0.0, approximation)
     if not modes.roundings:
         return approximation, constant(speeds.rounding, len(row))
     limit = active_values(modes.roundings, np.nan, modes.row_count)[row]  # NaN: the value of the cell holds
@@ -763,12 +769,12 @@ def _speeds_of(
     :param row: (M,) row of the line of each motion; `length`: (M,) its length [mm].
     :param is_rapid: (M,) motions of G0; `is_rotation`: (M,) motions that only rotate the tool.
     """
-    per_minute = lines.feed[row]  # [mm/min]; in G93 [1/min]
+    mm_per_min = lines.feed[row]  # in G93 [1/min]
     is_inverse_time = lines.is_inverse_time[row] & ~is_rapid
-    per_minute[is_inverse_time] *= length[is_inverse_time]  # now [mm/min] everywhere
-    # without a length F gives no speed of the tip: any speed will do that is no limit beside the angular speed
-    per_minute[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM
-    return np.where(is_rapid, speeds.rapid, per_minute * (M_PER_MM / S_PER_MIN))
+    mm_per_min[is_inverse_time] *= length[is_inverse_time]  # now [mm/min] everywhere
+    # without a length the product is 0: any speed will do that does not limit the motion
+    mm_per_min[is_inverse_time & is_rotation] = speeds.rapid * S_PER_MIN / M_PER_MM
+    return np.where(is_rapid, speeds.rapid, mm_per_min * (M_PER_MM / S_PER_MIN))
 
 
 def _lengths(moves: Moves, circular: Ints, arcs: Arcs) -> Array:
