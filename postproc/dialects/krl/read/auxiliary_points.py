@@ -89,8 +89,8 @@ class AuxiliaryOrientations(Struct, frozen=True, eq=False):
         """True for the circles (n,) whose auxiliary orientation may act.
 
         That is so if the tool takes on this orientation, or if its angles, not all NaN, may choose the rotation.
-        Corrected circles need #IGNORE then: correction divides a circle into pieces, and the rotation of a piece need
-        not pass the orientation that the rotation of the whole circle passes.
+        Corrected circles need #IGNORE then: correction divides a circle into shorter arcs, and the rotation on one of
+        them need not pass the orientation that the rotation of the whole circle passes.
         """
         return np.asarray(self.is_led_through | ~np.isnan(self.angles).all(axis=1))
 
@@ -106,7 +106,7 @@ def auxiliary_orientations(
 
     :param columns: all motions of the program.
     :param moves: row → statement, for motions that are not read in bulk.
-    :param circle_rows: (n,) rows of the circles in `rows`.
+    :param circle_rows: (n,) indices of the circles among them.
     :param states: (n,) settings in force at the circles.
     """
     may_act = is_spline(trace, columns, circle_rows) & ~states.column(_ignores_auxiliary)
@@ -116,22 +116,22 @@ def auxiliary_orientations(
     return AuxiliaryOrientations(angles, may_act & states.column(_may_lead_through))
 
 
-def first_other_rotation(circles: Circles, orientations: AuxiliaryOrientations, turns_with_path: Bools) -> int:
-    """Return the index of the first circle on which the tool does not turn by the shorter rotation; −1: there is none.
+def first_other_rotation(circles: Circles, orientations: AuxiliaryOrientations, turns_with_path: Bools) -> int | None:
+    """Return the index of the first circle on which the tool does not turn by the shorter rotation; None without one.
 
     :param orientations: orientations of the auxiliary points of the n circles.
     :param turns_with_path: (n,) True where the orientation is kept relative to the path, which itself turns the tool.
     """
     indices = np.flatnonzero(orientations.has_effect)
     if not len(indices):
-        return -1
+        return None
     has_other_rotation = _has_other_rotation(
         circles.take(indices),
         orientations.angles[indices],
         turns_with_path[indices],
         orientations.is_led_through[indices],
     )
-    return int(indices[np.argmax(has_other_rotation)]) if has_other_rotation.any() else -1
+    return int(indices[np.argmax(has_other_rotation)]) if has_other_rotation.any() else None
 
 
 def other_rotation_error(trace: Trace, row: int, *, is_led_through: bool) -> ProgramError:
@@ -219,7 +219,7 @@ def _auxiliary_angles(
 ) -> list[float]:
     """Return A, B, C [deg] of the auxiliary point of a circle, NaN where missing.
 
-    :param row: row of the circle in `rows`.
+    :param row: index of the circle among all motions.
     :param moves: row → statement, for motions that are not read in bulk.
     """
     if row in moves:

@@ -1,9 +1,10 @@
 """Loops whose points are computed from the counter: ``LIN {X 90*COS(I),…}``, ``XT=P[I+1]`` and ``LIN XT``.
 
-The expressions are evaluated for all rounds at once, each as a column with one number a round. This holds where no
-round depends on one before: variables are set before they are used, and all else has one value throughout. Numbers are
-those that `Variables` gives one by one, since the operations are the same. Where a column would hold anything else than
-numbers, or whole positions, the rounds are followed one by one (`main_routine`), and so could all be.
+The rounds of a loop are its iterations. The expressions are evaluated for all rounds at once, each as a column with one
+number a round. This holds where no round depends on one before: variables are set before they are used, and all else
+has one value throughout. Numbers are those that `Variables` gives one by one, since the operations are the same. Where
+a column would hold anything else than numbers, or whole positions, the rounds are followed one by one (`main_routine`),
+which always gives the same motions.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ class _Column(Struct, frozen=True, eq=False):
 
 
 class _NoColumnError(Exception):
-    """A value is not known in every round, or has no column of numbers or of positions."""
+    """A value is not known in every round, or has no column of numbers or of positions: rounds are followed singly."""
 
 
 class _Rounds:
@@ -158,7 +159,8 @@ class _Rounds:
         """Set a variable to the values of an assignment, one for each round.
 
         :param line: line of the assignment in its file.
-        :raises _NoColumnError: the values are neither all numbers of one type, nor all complete positions.
+        :raises _NoColumnError: the values are neither all numbers of one type, nor all complete positions: the rounds
+            are then followed one by one.
         """
         name, stored_name = stmt.target.name, self._stored_name(stmt.target.name)
         self.columns.pop(name, None)  # values of an earlier assignment in the round

@@ -21,6 +21,9 @@ _BITWISE: dict[str, Callable[[int, int], int]] = {"B_AND": and_, "B_EXOR": xor, 
 _REAL_TOLERANCE = 1e-5
 """REALs that differ by less than this share may compare otherwise on a controller, which has fewer digits."""
 
+NO_CASE = -1
+"""In place of the index of a CASE: none of them is chosen."""
+
 Term = bool | Number | Word | None
 
 
@@ -53,7 +56,7 @@ def matches_case(value: VariableValue, case: VariableValue) -> bool | None:
 def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None:
     """Return a table: integer behind CASE → index in `heads` of the first CASE with it.
 
-    The key None stands for all other integers. Its index is that of DEFAULT; −2 if there is no DEFAULT.
+    The key None stands for all other integers. Its index is that of DEFAULT; `NO_CASE` if there is no DEFAULT.
 
     :param heads: the statements CASE and DEFAULT of a SWITCH, in order.
     :returns: None instead of a table if not all values behind CASE are integer constants.
@@ -67,7 +70,7 @@ def constant_cases(heads: Sequence[Statement]) -> dict[float | None, int] | None
             if not isinstance(value, Number) or not value.is_integer:
                 return None
             table.setdefault(value.value, index)
-    return {None: -2, **table}  # −2 is replaced if there is a DEFAULT
+    return {None: NO_CASE, **table}  # replaced if there is a DEFAULT
 
 
 def _combined_value(terms: list[Term], operators: list[str]) -> Term:

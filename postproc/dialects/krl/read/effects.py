@@ -53,7 +53,9 @@ _TURN_SPEEDS = ("ORI1", "ORI2")
 
 
 class Effects(Struct, eq=False):
-    """Side effects of a routine, a statement or an action.
+    """Side effects of a routine, a statement or an action: the statement that an interrupt or a trigger runs.
+
+    A place is a file and a line.
 
     :ivar writes: stored names of variables that may get another value while the code runs → the statement that does it.
     :ivar volatile_writes: stored names of variables that interrupts, triggers and cyclic statements may change at any
@@ -101,7 +103,7 @@ class Effects(Struct, eq=False):
     def add_action(self, effects: Effects) -> None:
         """Add the effects of the action of an interrupt or a trigger: what the action writes may change at any time.
 
-        Its force comment is not added: an action runs beside the motions.
+        Its force comment is not added: an action runs in parallel to the motions, and its comments are not followed.
         """
         for name, place in effects.writes.items():
             self.volatile_writes.setdefault(name, place)
@@ -158,8 +160,8 @@ class Analysis:
             return total
         local_effects = self._direct_effects(module, routine).effects
         total = Effects(jump=local_effects.jump, parameter_write=local_effects.parameter_write)
-        for node in self._reachable_callees([Callee(module, routine)]):
-            direct = self._direct_effects(*node)
+        for callee in self._reachable_callees([Callee(module, routine)]):
+            direct = self._direct_effects(*callee)
             total.add(direct.effects)
             self._add_action_effects(total, direct)
             for interrupt in direct.global_interrupts:
@@ -197,9 +199,9 @@ class Analysis:
 
     def may_carry_force(self, module: Module, routine: Routine) -> bool:
         """Return whether a routine, or a routine that it calls, has a motion other than PTP; no force acts on PTP."""
-        for _, node in self._reachable_callees([Callee(module, routine)]):
-            for line in (*node.motion_lines.tolist(), *node.statement_lines):
-                stmt = statement(node.source, line)
+        for _, callee in self._reachable_callees([Callee(module, routine)]):
+            for line in (*callee.motion_lines.tolist(), *callee.statement_lines):
+                stmt = statement(callee.source, line)
                 if isinstance(stmt, Motion | Spline) and not stmt.word.startswith(_RAPID_WORDS):
                     return True
         return False
@@ -277,20 +279,20 @@ class Analysis:
             return
         total.add_action(direct.action_effects)
         total.lasting_write = total.lasting_write or direct.action_effects.parameter_write
-        for node in self._reachable_callees(direct.action_callees):
-            node_effects = self._direct_effects(*node)
-            total.add_action(node_effects.effects)
-            total.add_action(node_effects.action_effects)
-            total.lasting_write = total.lasting_write or node_effects.action_effects.parameter_write
+        for callee in self._reachable_callees(direct.action_callees):
+            callee_effects = self._direct_effects(*callee)
+            total.add_action(callee_effects.effects)
+            total.add_action(callee_effects.action_effects)
+            total.lasting_write = total.lasting_write or callee_effects.action_effects.parameter_write
 
     def _reachable_callees(self, roots: list[Callee]) -> Iterator[Callee]:
         """Yield some routines and all routines that they may call, also by interrupts and triggers; each once."""
         unvisited = list(roots)
         queued_routines = {routine for _, routine in unvisited}  # yielded, or in `unvisited`
         while unvisited:
-            node = unvisited.pop()
-            yield node
-            direct = self._direct_effects(*node)
+            caller = unvisited.pop()
+            yield caller
+            direct = self._direct_effects(*caller)
             for callee in (*direct.callees, *direct.action_callees):
                 if callee.routine not in queued_routines:
                     queued_routines.add(callee.routine)
@@ -317,26 +319,26 @@ class Analysis:
                 self._add_statement_effects(direct, stmt, Callee(module, routine), place)
         return direct
 
-    def _add_statement_effects(self, direct: _DirectEffects, stmt: Statement, node: Callee, place: Place) -> None:
+    def _add_statement_effects(self, direct: _DirectEffects, stmt: Statement, owner: Callee, place: Place) -> None:
         """Add the effects of one statement to those of its routine.
 
         INTERRUPT, TRIGGER, cyclic statements and IMPORT: they are added as the effects of actions.
 
         :param direct: gets the effects.
-        :param node: the routine that contains the statement, at `place`.
+        :param owner: the routine that contains the statement, at `place`, and its module.
         """
         if not isinstance(stmt, Event | CyclicInput | Import):
-            _Statement(self, *node, place, direct.effects, direct.callees).note_effects(stmt)
+            _Statement(self, *owner, place, direct.effects, direct.callees).note_effects(stmt)
             return
         direct.has_actions = True
         # its effects may occur at any time after the declaration
-        later_statement = _Statement(self, *node, place, direct.action_effects, direct.action_callees)
+        later_statement = _Statement(self, *owner, place, direct.action_effects, direct.action_callees)
         if isinstance(stmt, Event):
             later_statement.note_event_effects(stmt)
             if stmt.is_global:
                 event_effects = _DirectEffects(has_actions=True)  # the action once more, by itself
                 _Statement(
-                    self, *node, place, event_effects.action_effects, event_effects.action_callees
+                    self, *owner, place, event_effects.action_effects, event_effects.action_callees
                 ).note_event_effects(stmt)
                 direct.global_interrupts.append(event_effects)
         elif isinstance(stmt, CyclicInput):

@@ -53,23 +53,24 @@ def external_axes(
         )
     assumed_starts = np.flatnonzero(np.isnan(begin) & ~np.isnan(end))
     if len(assumed_starts):
-        row = assumed_starts[0]
+        motion = assumed_starts[0]
         # the motion is its own predecessor if its start is not known: a warning says so already
-        has_open_start = predecessors is not None and predecessors[row] == row
-        if columns.kind[row] != PTP and not has_open_start:
-            issues.append(_assumed_start_warning(float(end[row]), trace.reported_line(int(columns.trace_row[row]))))
+        has_open_start = predecessors is not None and predecessors[motion] == motion
+        if columns.kind[motion] != PTP and not has_open_start:
+            reported_line = trace.reported_line(int(columns.trace_row[motion]))
+            issues.append(_assumed_start_warning(float(end[motion]), reported_line))
     begin = np.where(np.isnan(begin), end, begin)
     return issues, Carriage(np.nan_to_num(begin) * M_PER_MM, np.nan_to_num(end) * M_PER_MM, direction)
 
 
 def _fixed_axis_warnings(
-    trace: Trace, external: Array, steps: Array, line: Ints, *, carries_robot: bool
+    trace: Trace, external: Array, steps: Array, trace_row: Ints, *, carries_robot: bool
 ) -> list[Issue]:
     """Return the warnings on external axes that do not move, but are not at 0.
 
     :param external: (R, 6) positions of the axes at targets [mm, deg], NaN where not given.
     :param steps: (R, 6) steps of the axes in relative targets [mm, deg]; 0 for other targets.
-    :param line: (R,) rows of the trace of the motions.
+    :param trace_row: (R,) rows of the trace with the motions.
     :param carries_robot: True if E1 carries the robot; it may move then and is left out.
     :raises ProgramError: an axis moves.
     """
@@ -80,13 +81,13 @@ def _fixed_axis_warnings(
         given_rows = np.flatnonzero(~np.isnan(values))
         step_rows = np.flatnonzero(np.abs(steps[:, axis]) > _AXIS_TOLERANCE)
         if len(step_rows):
-            raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(line[step_rows[0]]))
+            raise _motion_error(trace, axis, f"by {steps[step_rows[0], axis]:g}", int(trace_row[step_rows[0]]))
         moved_rows = given_rows[np.abs(values[given_rows] - values[given_rows[:1]]) > _AXIS_TOLERANCE]
         if len(moved_rows):
             change = f"from {values[given_rows[0]]:g} to {values[moved_rows[0]]:g}"
-            raise _motion_error(trace, axis, change, int(line[moved_rows[0]]))
+            raise _motion_error(trace, axis, change, int(trace_row[moved_rows[0]]))
         if len(given_rows) and abs(values[given_rows[0]]) > _AXIS_TOLERANCE:
-            reported_line = trace.reported_line(int(line[given_rows[0]]))
+            reported_line = trace.reported_line(int(trace_row[given_rows[0]]))
             issues.append(_fixed_axis_warning(axis, values[given_rows[0]], reported_line, len(given_rows)))
     return issues
 
@@ -114,7 +115,7 @@ def _axis_positions(positions: Array, steps: Array, predecessors: Ints | None) -
     return begin, end
 
 
-def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramError:
+def _motion_error(trace: Trace, axis: int, change: str, trace_row: int) -> ProgramError:
     """Return the error that an external axis moves.
 
     :param axis: 0 for E1 … 5 for E6.
@@ -127,7 +128,7 @@ def _motion_error(trace: Trace, axis: int, change: str, line: int) -> ProgramErr
             "If it is a linear axis that carries the robot, say in the cell where the robot goes for positive values, "
             "in its root: [external_axes.E1] direction = [0, 1, 0]. Others must not move."
         )
-    return trace.error(f"the external axis {name} moves {change}", line, advice)
+    return trace.error(f"the external axis {name} moves {change}", trace_row, advice)
 
 
 def _fixed_axis_warning(axis: int, value: float, line: int, count: int) -> Issue:

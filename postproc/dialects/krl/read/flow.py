@@ -25,7 +25,7 @@ from postproc.dialects.krl.language.source import Place, Source
 from postproc.dialects.krl.language.structures import LOOPS, Block, Node, Part
 from postproc.dialects.krl.language.values import Call, Number, Reference, Value
 from postproc.dialects.krl.read.computed_rounds import FEWEST_ROUNDS, computed_body
-from postproc.dialects.krl.read.conditions import constant_cases
+from postproc.dialects.krl.read.conditions import NO_CASE, constant_cases
 from postproc.dialects.krl.read.counter import Counter, undecided_error
 from postproc.dialects.krl.read.interpreter import LOOP_ADVICE, Interpreter, undecided_jump_message
 from postproc.dialects.krl.read.known import UnknownOrderError, VariableValue, shown_name, unknown_order_error
@@ -687,7 +687,8 @@ class Flow:
             self._case_tables[block] = constant_cases([statement(source, part.head) for part in block.parts[1:]])
         table = self._case_tables[block]
         if isinstance(selector, Number) and selector.is_integer and table is not None:
-            return 1 + table.get(selector.value, table[None])  # the table begins with part 1; −2 for none becomes −1
+            case_index = table.get(selector.value, table[None])
+            return -1 if case_index == NO_CASE else 1 + case_index  # the table begins with part 1
         return self._chosen_part(source, block, selector)
 
     def _chosen_part(self, source: Source, block: Block, selector: VariableValue) -> int:

@@ -113,7 +113,7 @@ class Frames:
     def frames_of_cell(self, state: State) -> set[str]:
         """Return which of `$BASE` and `$TOOL` are frames of the cell though KUKA's #INITMOV would set other frames.
 
-        KUKA's #INITMOV sets BASE(0) and TOOL_DATA[1].
+        BAS(#INITMOV,0) initialises the motion settings at the start of a program: KUKA's sets BASE(0) and TOOL_DATA[1].
         """
         tool = self.variables.position(_array_element("TOOL_DATA", 1))
         kuka_frames = {"$BASE": Position((0.0,) * 6), "$TOOL": tool}
@@ -156,8 +156,8 @@ class Frames:
         if not isinstance(frame, Position) or number is None:
             return None
         if field in ANGLES and (name, row) in self._frames_with_uncertain_angles:
-            # the orientation was given by A, B, C that the controller may store in another form: it is not known which
-            # angles the other two are
+            # the controller may store another set of A, B, C for the orientation that was given: the two angles that
+            # stay are not known
             return None
         return with_component(frame, field, number)
 

@@ -244,7 +244,7 @@ class MotionReader:
             raise place.error(f"{word} to axis angles", "Write a Cartesian target, or use PTP.")
 
     def _check_independence_of_with(self, place: Place, subject: str, value: Value | None) -> None:
-        """Refuse a value that reads a setting of motions, in a motion whose WITH changes settings.
+        """Refuse a value that reads a setting of motions, in a motion whose WITH changes settings for itself alone.
 
         No source says whether the setting is read before or after WITH changes it.
 

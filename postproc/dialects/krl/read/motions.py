@@ -654,7 +654,7 @@ def _check_turns(
     :raises ProgramError: there is such a circle. If its `$CIRC_MODE.AUX_PT.ORI` is not known, the error says why.
     """
     index = first_other_rotation(circles, orientations, targets.control.turns_with_path[circles.rows])
-    if index >= 0:
+    if index is not None:
         row = circles.rows.item(index)
         settings.refuse_uncertain(motion_states.at(row), ["auxiliary"])  # raises if the mode is not known
         is_led_through = bool(orientations.is_led_through[index])

@@ -104,27 +104,28 @@ class _LaterRuns:
             cell=first_run.settings.cell,
             joints=self._start_joints,
         )
-        # `ordered_motions` empties the list
+        # a copy of the list, which `ordered_motions` empties
         plain_lines = replace(self._plain_lines, motions=[*self._plain_lines.motions])
         try:
             execution, collected_motions = execution_of(start)
             row = _first_differing_row(follower.execution, execution)
             if row is None:
-                later = TraceFollower(
+                next_follower = TraceFollower(
                     collected_motions or start.new_collection(follower.execution.trace), follower.execution, plain_lines
                 )
                 if collected_motions is None:
-                    later.follow([])
-                motions = ordered_motions(later, plain_lines.motions)
-                row = _first_difference(first_run.settings, self._first, later.run.settings, motions)
+                    next_follower.follow([])
+                motions = ordered_motions(next_follower, plain_lines.motions)
+                row = _first_difference(first_run.settings, self._first, next_follower.run.settings, motions)
             if row is not None:
                 return FollowedRun(follower.execution.trace.reported_line(row))
         except ProgramError as cause:  # the run cannot be followed
             return FollowedRun(cause.line or first_run.routine.first)
-        self._last_variables = later.run.settings.variables
-        places = kept_values(later)
+        self._last_variables = next_follower.run.settings.variables
+        places = kept_values(next_follower)
         self.change_places = places | self.change_places
         keys = self._last_variables.differing_keys(variables.snapshot())
+        # None: it moves as the first run does
         return FollowedRun(None, frozenset(key for key in keys if variable_of(key) in places))
 
 
@@ -135,7 +136,7 @@ def _first_differing_row(first: Execution, second: Execution) -> int | None:
     differs = np.zeros(row_count, dtype=np.bool_)
     for first_column, second_column in zip(*columns, strict=True):
         a, b = first_column[:row_count], second_column[:row_count]
-        differs |= (a != b) & ~(np.isnan(a) & np.isnan(b))  # NaN equals NaN
+        differs |= (a != b) & ~(np.isnan(a) & np.isnan(b))  # NaN, no counter, equals NaN
     row = int(np.argmax(differs)) + 1 if differs.any() else None
     step_row = _first_differing_step(first, second)
     if row is None and step_row is None and len(first.trace) != len(second.trace):
@@ -147,7 +148,7 @@ def _first_differing_step(first: Execution, second: Execution) -> int | None:
     """Return the row of the trace at which the first step differs between two runs; None if all steps are equal."""
     row = 1  # of the last step with a row
     for step, other_step in zip_longest(first.steps, second.steps):
-        if _compared(step) == _compared(other_step):
+        if _identity(step) == _identity(other_step):
             row = _step_row(step) or row
         elif isinstance(step, Lines) and isinstance(other_step, Lines) and step.first == other_step.first:
             return min(step.last, other_step.last) + 1
@@ -157,8 +158,8 @@ def _first_differing_step(first: Execution, second: Execution) -> int | None:
     return None
 
 
-def _compared(step: Step | None) -> object:
-    """Return what is compared of a step of two runs: not the reason why a structure is not followed."""
+def _identity(step: Step | None) -> object:
+    """Return what is equal in equal steps of two runs: the step, without the reason why a structure is not followed."""
     return (step.first, step.last) if isinstance(step, UnresolvedStructure) else step
 
 
@@ -179,11 +180,11 @@ def _file_and_line_columns(execution: Execution) -> tuple[Array, Array]:
 def _first_difference(
     first_settings: Settings, first: OrderedMotions, second_settings: Settings, second: OrderedMotions
 ) -> int | None:
-    """Return the line of the trace with the first motion that differs between two runs; None if all are equal.
+    """Return the row of the trace with the first motion that differs between two runs; None if all are equal.
 
     :param first_settings: settings of the first run, with its frames; `second_settings` those of the second.
     :param first: motions of the first run; `second` those of the second. If one run has more motions than the other,
-        the line of the first motion is returned.
+        the row of the first motion is returned.
     """
     if len(first.columns) != len(second.columns):
         return int((first.columns if len(first.columns) else second.columns).trace_row[0])
@@ -201,10 +202,10 @@ def _first_difference(
     ):
         # NaN equals NaN
         is_same &= ((first_values == second_values) | (np.isnan(first_values) & np.isnan(second_values))).all(axis=1)
-    for row, move in first.moves.items():
-        is_same[row] &= row in second.moves and _are_equal(move.end.position, second.moves[row].end.position)
-    rows = np.flatnonzero(~is_same)
-    return int(first.columns.trace_row[rows[0]]) if len(rows) else None
+    for motion, move in first.moves.items():
+        is_same[motion] &= motion in second.moves and _are_equal(move.end.position, second.moves[motion].end.position)
+    differing_motions = np.flatnonzero(~is_same)
+    return int(first.columns.trace_row[differing_motions[0]]) if len(differing_motions) else None
 
 
 def _are_equal(position: Position, other_position: Position) -> bool:

@@ -96,10 +96,13 @@ class Scopes:
 
 
 class Level(Struct, eq=False):
-    """A routine that runs.
+    """A routine that has been called and has not ended.
+
+    The execution trace: the lines of the program in the order in which they are executed.
 
     :ivar is_traced: True if its motions are in the execution trace: the main routine, and inlined routines.
-    :ivar open_structures: control structures whose branch taken is not known before run time: word and line.
+    :ivar open_structures: control structures around the present statement whose branch taken is not known before run
+        time: word and line.
     :ivar loop_depth: number of nested loops that are followed.
     :ivar is_left: True after EXIT.
     :ivar jump_line: line of a GOTO that has run and whose label has not been reached; 0 if there is none.
@@ -168,7 +171,7 @@ class RunPosition(NamedTuple):
 
 
 class _Fork(Struct, eq=False):
-    """An IF or SWITCH of which it is not known which branch runs.
+    """A fork: an IF or SWITCH whose branch taken is not known before run time, so that all branches are followed.
 
     :ivar values: values of all variables before the branches; `state` the settings in force there.
     :ivar is_begun: True once a branch has begun.
@@ -253,13 +256,13 @@ class Run:
         self._nodes: dict[Routine, tuple[Node, ...]] = {}
 
     def go_to_row(self, row: int) -> Place:
-        """Make a row of the execution trace the present row; return the file and the line of its statement."""
+        """Make a row of the execution trace, from 1, the present row; return the file and the line of its statement."""
         place = self.trace.place(row)
         self.row, self.shift = row, row - place.line
         return place
 
     def with_row(self, aggregate: Aggregate) -> Aggregate:
-        """Return an aggregate of the present statement with its row of the trace: its numbers are corrected there.
+        """Return an aggregate (``{X 1,Y 2,…}``) of the present statement with its row: its numbers are corrected there.
 
         Without rows of the trace (`has_rows`) it is returned unchanged.
         """
@@ -275,7 +278,8 @@ class Run:
     def note_copy(self, expression: Value, value: VariableValue, name: str) -> None:
         """Add to `copies` that the present statement copies a point to a variable or a parameter.
 
-        Nothing is added if the expression is no variable, or its value is no point whose numbers are in the text.
+        A copied point is corrected where its numbers are written, with all motions to its copies. Nothing is added if
+        the expression is no variable, or its value is no point whose numbers are in the text.
 
         :param expression: the assigned expression; `value` is its value from `Calls.evaluate_with_calls`.
         :param name: name of the variable or parameter that gets the value, upper case.
@@ -347,7 +351,7 @@ class Run:
         )
 
     def return_to(self, position: RunPosition) -> None:
-        """Return to the routine and the depth of the run at an earlier `position`.
+        """Return to the routine and the depth of the run at an earlier `position`, to follow a statement differently.
 
         Open control structures and a GOTO on its way to its label are given up. Values and settings stay.
         """
@@ -398,7 +402,7 @@ class Run:
         return self.variables.scope.stored_name(name.upper())
 
     def note_possible_changes(self, names: Mapping[str, Place], cause: str) -> None:
-        """Note that variables may get another value at any time from now on; earlier causes stay.
+        """Note that variables may get another value at any time from now on; of several causes the first is kept.
 
         :param names: stored name → the statement that changes the variable.
         :param cause: the interrupt, trigger or routine that runs this statement, for messages.

@@ -24,8 +24,10 @@ class Settings:
     """The settings of motions while a program is followed; `variables` reads their present values here.
 
     :ivar state: the present state.
-    :ivar changes: each line of the program after which the state changes, and the state then in force, in order.
-    :ivar plain_assignments: plain assignments, which come into force before the next statement is followed.
+    :ivar changes: each row of the trace (or line of the program, if they are the same) after which the state changes,
+        and the state then in force, in order.
+    :ivar plain_assignments: assignments of numbers to speeds and distances, read in bulk; they come into force before
+        the next statement is followed.
     :ivar follows_numbers: True if plain assignments are followed; if False, speeds and distances have no values.
     :ivar lacked_numbers: True if the value of a speed or a distance was read although they are not followed.
     :ivar frames: the frames that the program uses.
