@@ -127,7 +127,7 @@ def test_the_loaded_equilibrium_and_the_command_that_undoes_it_are_those_of_the_
         assert np.linalg.norm(pose[:3, 3] - arm.given(q[row], FAR_OFFSET_TOOL, wrench[row])[1](0.0)[0][:3, 3]) > 5e-4
         np.testing.assert_allclose(state.theta[row], theta, rtol=0, atol=3e-9)  # rad, m
         np.testing.assert_allclose(state.pose[row], pose, rtol=0, atol=3e-9)
-        np.testing.assert_allclose(state.twist[row], twist(state.rest[row], pose), rtol=0, atol=1e-8)
+        np.testing.assert_allclose(state.twist[row], twist(state.unloaded_pose[row], pose), rtol=0, atol=1e-8)
         np.testing.assert_allclose(springs[:, row], theta, rtol=0, atol=1e-8)
     target = np.array([arm.nominal(row, FAR_OFFSET_TOOL) for row in q])
     found = elastostatics.compensate(model, target, q, FAR_OFFSET_TOOL, wrench)
@@ -498,7 +498,7 @@ def test_the_bound_of_each_source_alone_is_that_of_its_covariance(name, series):
     def bound(size):
         changed, forces = given(size)
         return elastostatics.position_bound(
-            changed, q, FAR_OFFSET_TOOL, wrench, force_spread=forces, in_series=own, turning=turning
+            changed, q, FAR_OFFSET_TOOL, wrench, force_spread=forces, in_series=own, changes_flank=turning
         )[0]
 
     nothing = dict.fromkeys(SOURCES, 0.0)
@@ -532,7 +532,7 @@ def test_the_bound_counts_the_flanks_of_gears_by_how_far_their_torque_is_from_tu
     turning = np.zeros((3, 6), dtype=bool)
     turning[1, [0, 4]] = True
     model = replace(model, covariance=robot.Covariance.of([], np.zeros((0, 0))))
-    found = elastostatics.position_bound(model, q, FAR_OFFSET_TOOL, wrench, turning=turning)
+    found = elastostatics.position_bound(model, q, FAR_OFFSET_TOOL, wrench, changes_flank=turning)
     expected = []
     for n in range(3):
         tcp, loaded, bare = arm.loads(FAR_OFFSET_TOOL)

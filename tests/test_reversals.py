@@ -74,7 +74,7 @@ def test_the_step_is_what_the_tool_moves_as_the_gear_turns_over(kind):
     step = np.linalg.norm(np.diff(loose - tight, axis=0))
     assert found.step[at] == pytest.approx(step, rel=1e-3)
     assert found.step[at] > 1e-4
-    assert found.before[at] < found.row[at]
+    assert found.previous_row[at] < found.row[at]
 
 
 def test_backlash_under_the_weights_turns_over_with_the_total_torque():
@@ -116,7 +116,7 @@ def test_the_bound_counts_the_flank_only_where_it_is_not_known():
     assert bound[3] == pytest.approx(1.96 * np.sqrt(np.mean(drawn**2)) * ANGLE * _lever(), rel=0.03)
     turning = np.zeros((9, 6), dtype=bool)
     turning[0, 0] = True
-    assert elastostatics.position_bound(model, q, STRAIGHT_TOOL, wrench, turning=turning)[0] == pytest.approx(
+    assert elastostatics.position_bound(model, q, STRAIGHT_TOOL, wrench, changes_flank=turning)[0] == pytest.approx(
         bound[4], rel=1e-6
     )
 

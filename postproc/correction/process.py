@@ -458,13 +458,13 @@ def _loads(draft: Draft) -> _TargetLoads:
 
 
 def _reversals(draft: Draft) -> Reversals:
-    """Return where joints change the direction of their torque on cutting moves; `row` and `before` are targets."""
+    """Return where joints change the direction of their torque on cutting moves; `row` and `previous_row` are targets."""
     path = draft.path
     reversals = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
     is_cut = ~path.program.motions.rapid[draft.selection.targets.motion[reversals.row]]
     return Reversals(
         row=reversals.row[is_cut],
-        before=reversals.before[is_cut],
+        previous_row=reversals.previous_row[is_cut],
         joint=reversals.joint[is_cut],
         step=reversals.step[is_cut],
     )
@@ -555,7 +555,7 @@ class _PartErrors:
             path.wrench_in_root(sample),
             force_spread=spread,
             in_series=tool_compliance,
-            turning=self.reverses[targets],
+            changes_flank=self.reverses[targets],
             is_proportional=self.is_scaled[targets],
         )
         sources = elastostatics.sources_of_error(path.robot_in_cell.robot, places)
@@ -608,8 +608,8 @@ def _remaining_errors(task: Task, draft: Draft) -> tuple[Array, Array]:
 def _joints_near_reversal(reversals: Reversals, count: int) -> Bools:
     """Return which joints may be on either flank of their gear at each target, (count, 6): next to a reversal."""
     reverses = np.zeros((count, 6), dtype=bool)
-    # the reversal is somewhere between the targets `before` and `row`
-    reverses[reversals.row, reversals.joint] = reverses[reversals.before, reversals.joint] = True
+    # the reversal is somewhere between the targets `previous_row` and `row`
+    reverses[reversals.row, reversals.joint] = reverses[reversals.previous_row, reversals.joint] = True
     return reverses
 
 

@@ -62,6 +62,7 @@ def spring_deflection(
     """
     load_part = torque if load_part is None else load_part
     linear_compliance = robot.constant_compliance[:, None]
+    # without terms all springs are linear
     if not robot.terms:
         return linear_compliance * torque, np.broadcast_to(linear_compliance, torque.shape)
     theta, slope = linear_compliance * torque, np.repeat(linear_compliance, torque.shape[1], axis=1)
@@ -135,7 +136,7 @@ class Balance(Struct, frozen=True, eq=False):
         Zero where τ is the torque of the load alone: `slope` then contains lost motion.
         """
         compliance, load_part = np.zeros_like(self.x), self.load_part
-        if load_part is self.torque:
+        if load_part is self.torque:  # `load_torque` returns τ itself where all of it is the torque of the load
             return compliance
         for parameter, value in self.robot.terms:
             if not parameter.with_rest_torque:

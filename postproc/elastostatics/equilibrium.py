@@ -71,17 +71,17 @@ class Deflection(Struct, frozen=True, eq=False):
 
     :param theta: (N, nv) deflections of the virtual springs [rad, m].
     :param pose: (N, 4, 4) tool frame in the root frame under load [m].
-    :param rest: (N, 4, 4) the same with θ = 0.
+    :param unloaded_pose: (N, 4, 4) the same with θ = 0.
     """
 
     theta: Array
     pose: Array
-    rest: Array
+    unloaded_pose: Array
 
     @property
     def twist(self) -> Array:
-        """(N, 6) displacement of the tool frame from rest: position [m], rotation vector [rad], root axes."""
-        return twist_between(self.rest, self.pose)
+        """(N, 6) displacement of the tool frame by θ: position [m], rotation vector [rad], root axes."""
+        return twist_between(self.unloaded_pose, self.pose)
 
 
 def largest_compliance(robot: RobotModel, q: Array, tool: Array) -> tuple[float, float]:
@@ -251,9 +251,9 @@ def _check_size(theta: Array) -> None:
 
     :raises NotConvergedError: one is not; it names the columns.
     """
-    large = _largest(theta) > _LARGEST_DEFLECTION
-    if large.any():
-        raise NotConvergedError("the load is too large for the springs", np.flatnonzero(large).tolist())
+    is_too_large = _largest(theta) > _LARGEST_DEFLECTION
+    if is_too_large.any():
+        raise NotConvergedError("the load is too large for the springs", np.flatnonzero(is_too_large).tolist())
 
 
 def tangent_compliance(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Array:
@@ -356,6 +356,7 @@ def compensate(robot: RobotModel, target: Array, q_nominal: Array, tool: Array, 
 def _commands(robot: RobotModel, q_nominal: Array, tool: Array, wrench: Array, target: Array) -> tuple[Array, ...]:
     """Return the fields of `Compensation` for n targets that are solved at once; parameters as of `compensate`."""
     tools, goal, wrench = kinematics.components(tool), kinematics.components(target), np.ascontiguousarray(wrench.T)
+    # coordinates of the six joints, and of link springs, which no motor drives
     joints, passive = np.array(robot.actuated), np.array(robot.passive, dtype=np.int64)
     x = elastic_coordinates(robot, q_nominal.T)
     theta = np.zeros_like(x)
@@ -363,7 +364,7 @@ def _commands(robot: RobotModel, q_nominal: Array, tool: Array, wrench: Array, t
         state = kinematics.posture(robot.loaded, x, tools, weigh=robot.has_weight)
         jacobian, missing_twist = state.jacobian(), kinematics.twist_between(state.pose, goal)
         error = np.abs(missing_twist)
-        # without link springs the deflection matters at the target only
+        # without link springs the deflection matters at the target only: no step depends on it
         if len(passive) or not _exceeds_tolerance(error).any():
             load = np.einsum("ikn,in->kn", jacobian, wrench)
             theta = deflection_at_target(robot, x, load, static_torque(robot, x, state))

@@ -20,7 +20,8 @@ from postproc.program import Bools, Ints
 from postproc.robot import Backlash, RobotModel
 
 _NO_DIRECTION = 0.01
-"""A torque below this share of the joint's largest one along the path counts as zero: the gear is between flanks."""
+"""A torque below this share of the joint's largest one along the path counts as zero: the gear is between its flanks,
+the two sides of its teeth."""
 _NO_TORQUE = 1e-3
 """So does a torque below this [N·m] (assumed)."""
 
@@ -29,14 +30,14 @@ class Reversals(Columns, frozen=True, eq=False):
     """M changes of the direction of a joint's torque, in the order of the path.
 
     :param row: (M,) first place with the new direction.
-    :param before: (M,) last place with the old one.
+    :param previous_row: (M,) last place with the old direction; places between have hardly any torque.
     :param joint: (M,) 0…5.
     :param step: (M,) step of the tool as the gear moves from one flank to the other [m]; 0 where the model states no
         lost motion.
     """
 
     row: Ints
-    before: Ints
+    previous_row: Ints
     joint: Ints
     step: Array
 
@@ -57,13 +58,13 @@ def reversals(robot: RobotModel, q: Array, tool: Array, wrench: Array) -> Revers
     parts = []
     for signal, signal_torque in zip(signals, torque.T, strict=True):
         largest = float(np.abs(signal_torque).max(initial=0.0))
-        before, row = _sign_changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
+        previous_row, row = _sign_changes(signal_torque, max(signal.threshold, _NO_DIRECTION * largest))
         step = np.zeros(len(row))
         if signal.half_play > 0.0:
             state = undeflected_balance(robot, q[row], tools[row], wrench[row])
             lever = np.moveaxis(state.jacobian[:3, robot.actuated[signal.joint]], 0, -1)
             step = 2.0 * signal.half_play * norm(lever)
-        parts.append(Reversals(row, before, np.full(len(row), signal.joint), step))
+        parts.append(Reversals(row, previous_row, np.full(len(row), signal.joint), step))
     order = np.argsort(np.concatenate([part.row for part in parts]), kind="stable")
     return Reversals.join(parts, order)
 
@@ -108,13 +109,13 @@ def _torques(robot: RobotModel, signals: Sequence[_Signal], q: Array, tool: Arra
     )
 
 
-def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, turning: Bools) -> Array:
+def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, changes_flank: Bools) -> Array:
     """Return the covariance (n, 3, 3) [m²] of the tool's position due to the unknown flanks of the gears, root axes.
 
     :param q: (n, 6) joint angles that the controller holds [rad].
     :param tool: (4, 4) or (n, 4, 4) tool in the flange frame [m].
     :param wrench: (n, 6) at the TCP, root axes [N, N·m].
-    :param turning: (n, 6) True for gears that change their flank next to a place: they may be on either flank there.
+    :param changes_flank: (n, 6) True for gears that change their flank next to a place: they may be on either there.
     """
     covariance = np.zeros((len(q), 3, 3))
     terms = _backlash_terms(robot)
@@ -124,7 +125,7 @@ def flank_covariance(robot: RobotModel, q: Array, tool: Array, wrench: Array, tu
     for parameter, value in terms:
         row = robot.row(parameter)
         variance_share = 1.0 - np.tanh(_moving_torque(state, parameter) / parameter.torque) ** 2
-        variance_share[turning[:, robot.actuated.index(row)]] = 1.0
+        variance_share[changes_flank[:, robot.actuated.index(row)]] = 1.0
         lever = state.jacobian[:3, row]
         covariance += np.einsum("n,in,jn->nij", value**2 * variance_share, lever, lever)
     return covariance

@@ -39,7 +39,7 @@ class LoadedPlaces(Columns, frozen=True, eq=False):
     :param q: (N, 6) joint angles [rad].
     :param tool: (N, 4, 4) tool in the flange frame [m].
     :param wrench: (N, 6) at the TCP, root axes [N, N·m].
-    :param turning: (N, 6) joints whose gears change their flank next to this place (`reversals`).
+    :param changes_flank: (N, 6) joints whose gears change their flank next to this place (`reversals`).
     :param is_proportional: (N,) places where the error of the wrench is one factor, `RobotModel.force_factor`,
         correlated with the parameters; `force_spread` does not count there.
     :param force_spread: (N, 6, 6) L of the covariance L·Lᵀ of the wrench, root axes; None if it is certain. (N, 6, 13)
@@ -50,7 +50,7 @@ class LoadedPlaces(Columns, frozen=True, eq=False):
     q: Array
     tool: Array
     wrench: Array
-    turning: Bools
+    changes_flank: Bools
     is_proportional: Bools
     force_spread: Array | None
     in_series: Array | None
@@ -64,7 +64,7 @@ class LoadedPlaces(Columns, frozen=True, eq=False):
         *,
         force_spread: Array | None = None,
         in_series: Array | None = None,
-        turning: Bools | None = None,
+        changes_flank: Bools | None = None,
         is_proportional: Bools | None = None,
     ) -> LoadedPlaces:
         """Return the places; the parameters are those of the fields, with these defaults.
@@ -72,14 +72,14 @@ class LoadedPlaces(Columns, frozen=True, eq=False):
         :param tool: (4, 4) for all places, or (N, 4, 4).
         :param force_spread: None: the forces are certain.
         :param in_series: None: nothing but the robot is compliant.
-        :param turning: None: no gear is known to change its flank.
+        :param changes_flank: None: no gear is known to change its flank.
         :param is_proportional: None: nowhere.
         """
         return cls(
             q=q,
             tool=np.broadcast_to(tool, (len(q), 4, 4)),
             wrench=wrench,
-            turning=np.zeros((len(q), 6), dtype=bool) if turning is None else turning,
+            changes_flank=np.zeros((len(q), 6), dtype=bool) if changes_flank is None else changes_flank,
             is_proportional=np.zeros(len(q), dtype=bool) if is_proportional is None else is_proportional,
             force_spread=force_spread,
             in_series=in_series,
@@ -94,7 +94,7 @@ def position_bound(
     *,
     force_spread: Array | None = None,
     in_series: Array | None = None,
-    turning: Bools | None = None,
+    changes_flank: Bools | None = None,
     is_proportional: Bools | None = None,
 ) -> Array | None:
     """Return the 95 % bound (N,) [m] on the error of the predicted position of the TCP; None without a covariance.
@@ -123,7 +123,7 @@ def position_bound(
         wrench,
         force_spread=force_spread,
         in_series=in_series,
-        turning=turning,
+        changes_flank=changes_flank,
         is_proportional=is_proportional,
     )
     parts = (sources_of_error(robot, places.take(part)).covariances() for part in chunks(len(q)))
@@ -182,7 +182,7 @@ def sources_of_error(robot: RobotModel, places: LoadedPlaces) -> SourcesOfError:
 
 
 def largest_length(covariances: Sequence[Array], mean: Array | None = None) -> Array:
-    """Return the largest 95 % quantile (n,) of the length for several covariances (n, 3, 3), see `length_bound`.
+    """Return the largest 95 % quantile (n,) of the length of normal vectors, for several covariances (n, 3, 3).
 
     :param mean: (n, 3) mean of the vectors; None: zero.
     """
@@ -232,7 +232,7 @@ def _other_covariances(robot: RobotModel, places: LoadedPlaces) -> dict[str, Arr
             robot.discrepancy.at(places.wrench)
         )
     covariances["lost motion of the gears"] = flank_covariance(
-        robot, places.q, places.tool, places.wrench, places.turning
+        robot, places.q, places.tool, places.wrench, places.changes_flank
     )
     return covariances
 
@@ -256,7 +256,8 @@ def _force_displacements(places: LoadedPlaces, reaction: Array | None) -> tuple[
         return (np.zeros((len(is_proportional), 3, 0)),)
     sign = np.where(np.einsum("nik,ni->nk", spread, places.wrench) < 0.0, -1.0, 1.0)
     displacement = reaction @ (spread * sign[:, None])
-    if spread.shape[2] <= _COMPONENTS:
+    may_be_one_factor = spread.shape[2] > _COMPONENTS  # see `LoadedPlaces.force_spread`
+    if not may_be_one_factor:
         return (displacement * ~is_proportional[:, None, None],)
     independent, by_factor = displacement[:, :, :_COMPONENTS], displacement[:, :, _COMPONENTS:]
     # without the error of the cutting law both correlations are one

@@ -12,7 +12,7 @@ periods a turn (`robot.Transmission`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import msgspec
 import numpy as np
@@ -37,6 +37,10 @@ from postproc.robot.model_file import (
 )
 
 _AXES = LINK_AXES[:6]
+_WEIGHTLESS: Final = "rigid"
+_AT_REST: Final = "calibrated"
+"""[gravity] reference of model.toml: the geometry is that of the weightless robot, to which the sag is added; or that
+of the robot at rest, which contains the sag."""
 _USUAL_SHIFT, _USUAL_TURN, _USUAL_WAVE = 1e-3, 2e-3, 0.3e-3
 """Prior standard deviations of the errors of a joint (shift [m], turn [rad]) and its gear [rad] (assumed)."""
 _MOST_STEPS = 8
@@ -175,7 +179,9 @@ def _joint_derivatives(chain: Chain, q: Array, points: Array) -> tuple[Array, Ar
 
 
 def _placement_columns(flange: Array, points: Array, root: Array) -> Array:
-    """Return derivatives (3CP, 6 + 3P) of the points in device axes: by the twist of the root, then by the points.
+    """Return derivatives (3CP, 6 + 3P) of P points in C configurations in device axes: by the root, then by the points.
+
+    The first six columns are by the twist of the root: translation, then rotation.
 
     :param flange: (C, 4, 4) in the root [m].
     :param points: (P, 3) in the flange frame [m].
@@ -215,7 +221,7 @@ def identify_geometry(content: ModelFile, nominal: Chain, name: str, data: Measu
         covariance=solution.covariance,
         content=msgspec.structs.replace(calibrated_content, geometry_error=error),
         placement=solution.placement,
-        is_weightless="with sag" in best_label,
+        is_weightless=solution.content.gravity.reference == _WEIGHTLESS,
         rms={label: (_rms(fit.residual), float(np.sqrt(np.mean(errors)))) for label, (fit, errors) in fits.items()},
         chosen=best_label,
         u95=u95,
@@ -258,10 +264,10 @@ def _check_configurations(robot: RobotModel, data: Measurements, solution: _Solu
     :param robot: with the calibrated geometry.
     :raises MeasurementError: a configuration does.
     """
-    weight = solution.weight.reshape(len(data.q), -1)
-    readings_design, prior_rows = np.split(solution.design, [weight.size])  # rows of the prior follow the readings
-    design = readings_design.reshape(*weight.shape, -1)
-    check_configurations(robot, data, solution.placement, design, prior_rows, weight)
+    whitening = solution.whitening.reshape(len(data.q), -1)
+    readings_design, prior_rows = np.split(solution.design, [whitening.size])  # rows of the prior follow the readings
+    design = readings_design.reshape(*whitening.shape, -1)
+    check_configurations(robot, data, solution.placement, design, prior_rows, whitening)
 
 
 def _rms(residual: Array) -> float:
@@ -295,6 +301,8 @@ class _Variant(NamedTuple):
 def _variants(content: ModelFile, parameters: tuple[GeometryParameter, ...], *, with_gears: bool) -> list[_Variant]:
     """Return the geometries that are tried, simple to rich: nominal and calibrated, each without and with sag.
 
+    With sag the geometry is that of the weightless robot, and the springs of the model add the sag by its weight.
+
     :param content: model whose geometry is replaced.
     :param parameters: of the calibrated geometry.
     :param with_gears: whether the calibrated geometries are tried with errors of the gears too.
@@ -304,9 +312,9 @@ def _variants(content: ModelFile, parameters: tuple[GeometryParameter, ...], *, 
         geometry={},
         transmission={},
         geometry_error=None,
-        gravity=Gravity("calibrated", content.gravity.in_gears),
+        gravity=Gravity(_AT_REST, content.gravity.in_gears),
     )
-    with_sag = msgspec.structs.replace(without_sag, gravity=Gravity("rigid", content.gravity.in_gears))
+    with_sag = msgspec.structs.replace(without_sag, gravity=Gravity(_WEIGHTLESS, content.gravity.in_gears))
     calibrated_variants = [
         _Variant("calibrated geometry", without_sag, parameters),
         _Variant("calibrated geometry with sag", with_sag, parameters),
@@ -376,9 +384,14 @@ def _extrapolation_error(solution: _Solution, nominal: Chain) -> float:
     _, flange = nominal.joint_frames(q)
     by_parameter = _parameter_columns(solution.parameters, _PosedArm(nominal, flange, q), q, point, root)
     design = np.concatenate([_placement_columns(flange, point, root), *by_parameter], axis=1)
-    first_parameter = len(solution.whole_covariance) - len(solution.values)  # after base and all points
-    rows_of_arm = [*range(9), *range(first_parameter, len(solution.whole_covariance))]  # base, first point, parameters
-    variance = np.einsum("ni,ij,nj->n", design, solution.whole_covariance[np.ix_(rows_of_arm, rows_of_arm)], design)
+    first_parameter = len(solution.covariance_of_unknowns) - len(solution.values)  # after base and all points
+    rows_of_arm = [
+        *range(9),
+        *range(first_parameter, len(solution.covariance_of_unknowns)),
+    ]  # base, first point, parameters
+    variance = np.einsum(
+        "ni,ij,nj->n", design, solution.covariance_of_unknowns[np.ix_(rows_of_arm, rows_of_arm)], design
+    )
     return float(LENGTH_95 * np.sqrt(3.0 * np.mean(variance)))  # rows are coordinates, three a point
 
 
@@ -388,29 +401,29 @@ class _Solution(Struct, frozen=True, eq=False):
     :param content: model before the fit.
     :param parameters: (p,) of the geometry.
     :param values: (p,) of the parameters [m, rad].
-    :param whole_covariance: (u, u) of all unknowns, increased by the misfit.
+    :param covariance_of_unknowns: (u, u) of all unknowns, increased by the misfit.
     :param placement: base and points.
     :param residual: (C, P, 3) measured minus predicted positions [m]; zero for points without readings.
     :param design: (n + p, u) derivatives of the n whitened coordinates, then rows of the prior.
     :param target: (n + p,) that design times unknowns should be.
-    :param weight: (n,) factors that whiten the coordinates [1/m].
+    :param whitening: (n,) factors that whiten the coordinates: they divide by their noise [1/m].
     """
 
     content: ModelFile
     parameters: tuple[GeometryParameter, ...]
     values: Array
-    whole_covariance: Array
+    covariance_of_unknowns: Array
     placement: Placement
     residual: Array
     design: Array
     target: Array
-    weight: Array
+    whitening: Array
 
     @property
     def covariance(self) -> Array:
         """Covariance (p, p) of the geometry parameters alone, which are the last unknowns."""
-        first = len(self.whole_covariance) - len(self.values)
-        return self.whole_covariance[first:, first:]
+        first = len(self.covariance_of_unknowns) - len(self.values)
+        return self.covariance_of_unknowns[first:, first:]
 
 
 def _misfit(white_residual: Array, unknowns: int) -> float:
@@ -456,10 +469,10 @@ def _fit_geometry(
     """
     mean, count = data.means()
     readings, weight = mean[data.unloaded_states], count[data.unloaded_states]
-    scale = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma  # whitens the coordinates; 0 without a reading
-    values, points, usual = np.zeros(len(parameters)), data.guess.copy(), _usual_sizes(parameters)
+    whitening = np.repeat(np.sqrt(weight).ravel(), 3) / data.sigma  # of the coordinates; 0 without a reading
+    values, points, usual_sizes = np.zeros(len(parameters)), data.guess.copy(), _usual_sizes(parameters)
     placement_count = 6 + 3 * len(points)  # unknowns of base and points, which have no prior
-    ridge = np.diag(np.concatenate([np.zeros(placement_count), 1.0 / usual]))[placement_count:]
+    ridge = np.diag(np.concatenate([np.zeros(placement_count), 1.0 / usual_sizes]))[placement_count:]
 
     def pose_arm(values: Array) -> _PosedArm:
         """Return the arm without load in the configurations of the readings, for values (p,) of the parameters."""
@@ -471,10 +484,10 @@ def _fit_geometry(
     for _ in range(_MOST_STEPS):
         by_parameter = _parameter_columns(parameters, arm, data.q, points, root)
         columns = [_placement_columns(arm.flange, points, root), *by_parameter]
-        design = np.concatenate(columns, axis=1) * scale[:, None]
-        white_residual = (readings - point_positions(root @ arm.flange, points)).ravel() * scale
-        right = np.concatenate([white_residual, -values / usual])
-        step = np.linalg.lstsq(np.vstack([design, ridge]), right, rcond=None)[0]
+        design = np.concatenate(columns, axis=1) * whitening[:, None]
+        white_residual = (readings - point_positions(root @ arm.flange, points)).ravel() * whitening
+        target = np.concatenate([white_residual, -values / usual_sizes])
+        step = np.linalg.lstsq(np.vstack([design, ridge]), target, rcond=None)[0]
         root = displace(root, step[:6])
         points = points + step[6:placement_count].reshape(points.shape)
         values = values + step[placement_count:]
@@ -482,26 +495,26 @@ def _fit_geometry(
         if np.abs(step).max() < _STEP_TOLERANCE:
             break
     residual = (readings - point_positions(root @ arm.flange, points)) * (weight > 0.0)[..., None]
-    white_residual = residual.ravel() * scale
+    white_residual = residual.ravel() * whitening
     covariance = np.linalg.pinv(design.T @ design + ridge.T @ ridge, hermitian=True)
     unknowns = np.concatenate([np.zeros(placement_count), values])  # twist and shifts of the points count from here
     return _Solution(
         content=content,
         parameters=parameters,
         values=values,
-        whole_covariance=covariance * _misfit(white_residual, design.shape[1]),
+        covariance_of_unknowns=covariance * _misfit(white_residual, design.shape[1]),
         placement=Placement(root, points, covariance[:placement_count, :placement_count] / data.sigma**2, residual),
         residual=residual,
         design=np.vstack([design, ridge]),
         target=np.concatenate([white_residual + design @ unknowns, np.zeros(len(parameters))]),
-        weight=scale,
+        whitening=whitening,
     )
 
 
 def _parameter_columns(
     parameters: tuple[GeometryParameter, ...], arm: _PosedArm, q: Array, points: Array, root: Array
 ) -> list[Array]:
-    """Return the derivatives (3CP, 1) of the points, device axes, by each parameter.
+    """Return the derivatives (3CP, 1) of P points in C configurations, device axes, by each parameter.
 
     :param q: (C, 6) joint angles of the controller [rad].
     :param points: (P, 3) [m], flange axes.
@@ -514,7 +527,7 @@ def _parameter_columns(
 
 
 def _parameter_column(parameter: GeometryParameter, by_joint: Array, chain: Chain, q: Array) -> Array:
-    """Return the derivative (3CP, 1) of the points by a parameter.
+    """Return the derivative (3CP, 1) of P points in C configurations by a parameter, device axes.
 
     An error of a gear is a turn about the joint's axis times a wave of the controller's angle.
 
@@ -570,8 +583,8 @@ def _cross_validation_error(solution: _Solution, data: Measurements) -> Array:
         is_left_out = row_fold == index
         unknowns = np.linalg.lstsq(solution.design[~is_left_out], solution.target[~is_left_out], rcond=None)[0]
         white_residual = solution.target[is_left_out] - solution.design[is_left_out] @ unknowns
-        residual = white_residual / solution.weight[is_left_out[:readings]]
-        # a point without readings has weight 0: 0/0
+        residual = white_residual / solution.whitening[is_left_out[:readings]]
+        # a point without readings has the factor 0: 0/0
         errors[fold == index] = np.sum(np.nan_to_num(residual).reshape(-1, rows) ** 2, axis=1) / len(data.points)
     return errors
 

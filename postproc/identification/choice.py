@@ -34,7 +34,7 @@ from postproc.errors import PostprocError
 from postproc.frames import Array
 from postproc.identification import over_pose, record
 from postproc.identification.fit import Fit, LinearEquations, Prior, Regression, learn, linearise, prior_of
-from postproc.identification.joint_springs import UNCERTAIN_SHARE, is_physical, unloaded_joints
+from postproc.identification.joint_springs import UNCERTAIN_SHARE, has_possible_compensator, unloaded_joints
 from postproc.identification.measurement_model import (
     Placement,
     Structure,
@@ -77,7 +77,7 @@ _FADE_AT = (0.2, 0.6, 2.0)
 """Torque at which parts of a gear fade, over the largest measured on its joint."""
 _BREAKPOINTS_AT = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)
 """Breakpoints of a gear, over the largest torque: milling torques are some hundredths of those of an experiment."""
-_TURNS_OVER_AT = (0.01,)
+_FLANK_CHANGE_AT = (0.01,)
 """Torque that moves a gear with backlash to its other flank, over the largest (assumed)."""
 _COINCIDENCE_DISTANCE = 1e-3
 """Distance [m] between axes that count as one line (assumed)."""
@@ -136,11 +136,11 @@ def _gear_parameters(
 
 
 def full_structure(
-    robot: RobotModel, data: Measurements, in_gears: bool, compensator: bool
+    robot: RobotModel, data: Measurements, carries_weight: bool, compensator: bool
 ) -> tuple[Structure, tuple[str, ...]]:
     """Return the structure with all candidate parameters, and the kind of each parameter.
 
-    :param in_gears: whether weights and compensator load the gears at rest.
+    :param carries_weight: whether weights and compensator load the gears at rest, which matters if they are not linear.
     :param compensator: whether stiffness K_c and free length s₀ of the compensator's spring are parameters.
     """
     idle_joints = unloaded_joints(robot, data)
@@ -154,15 +154,19 @@ def full_structure(
         END: (spring for spring in springs_with_ends if spring not in springs),
         FADING: _gear_parameters(FadingPart, _FADE_AT, loaded_joints, largest_torque),
         KNEE: _gear_parameters(Knee, _BREAKPOINTS_AT, loaded_joints, largest_torque),
-        BACKLASH: _gear_parameters(Backlash, _TURNS_OVER_AT, loaded_joints, largest_torque),
+        BACKLASH: _gear_parameters(Backlash, _FLANK_CHANGE_AT, loaded_joints, largest_torque),
         # if the load alone acts on the gears, backlash is lost motion
-        LOST_MOTION: _gear_parameters(LostMotion, _TURNS_OVER_AT, loaded_joints, largest_torque) if in_gears else (),
+        LOST_MOTION: _gear_parameters(LostMotion, _FLANK_CHANGE_AT, loaded_joints, largest_torque)
+        if carries_weight
+        else (),
         # masses are seen if they load the gears at rest, or if the geometry is that of the weightless robot; a free
         # compensator replaces the weights on joint 2, so that they are not identifiable with it
-        AT_REST: _gravity_parameters(robot) if not compensator and (in_gears or not robot.subtract_reference) else (),
+        AT_REST: _gravity_parameters(robot)
+        if not compensator and (carries_weight or not robot.subtract_reference)
+        else (),
     }
     pairs = [(parameter, kind) for kind, parameters in parameters_by_kind.items() for parameter in parameters]
-    structure = Structure(tuple(parameter for parameter, _ in pairs), robot, in_gears=in_gears)
+    structure = Structure(tuple(parameter for parameter, _ in pairs), robot, carries_weight=carries_weight)
     return structure, tuple(kind for _, kind in pairs)
 
 
@@ -236,8 +240,8 @@ _FOLDS = 10
 """Parts of the cross-validation: the usual number (Hastie, Tibshirani and Friedman 2009, section 7.10)."""
 _LEAST_WEIGHT = 0.02
 """Structures that weigh less are left out of the mean (assumed)."""
-CLEAR = 3.0
-"""Gain of log evidence (odds of one in twenty) that a richer model must show."""
+CLEAR_GAIN = 3.0
+"""Gain of log evidence (odds of one in twenty) from which the evidence for a richer model is clear."""
 _PRIOR_SHARE = 0.9
 """Least ratio of posterior to prior standard deviation of a parameter that only its prior determines (assumed)."""
 _LINEARISATIONS = 3
@@ -412,10 +416,10 @@ def choose(robot: RobotModel, data: Measurements, placement: Placement) -> Choic
     solution = _equations_with_weights_or_without(robot, data, placement)
     if can_identify_compensator(robot, data):
         with suppress(PostprocError):  # the structures without a free compensator remain
-            free = _candidate_equations(robot, data, placement, solution.structure.in_gears, compensator=True)
-            if free.full_regression.evidence > solution.full_regression.evidence + CLEAR:
+            free = _candidate_equations(robot, data, placement, solution.structure.carries_weight, compensator=True)
+            if free.full_regression.evidence > solution.full_regression.evidence + CLEAR_GAIN:
                 choice = _choice_among(free, data, placement, compensator=True)
-                if is_physical(choice.fit) and not _has_uncertain_compensator(choice):
+                if has_possible_compensator(choice.fit) and not _has_uncertain_compensator(choice):
                     return choice
     return _choice_among(solution, data, placement, compensator=False)
 
@@ -426,14 +430,14 @@ def _choice_among(solution: _CandidateEquations, data: Measurements, placement: 
     :param solution: the structure with all candidate parameters.
     :param compensator: whether K_c and s₀ are parameters of all structures.
     """
-    mean, solution = _extend(_mean_of_structures(solution, compensator), solution, data, placement)
+    mean, solution = _add_couplings_and_waves(_mean_of_structures(solution, compensator), solution, data, placement)
     return _choice_of_mean(mean, solution, data, placement)
 
 
 def _equations_with_weights_or_without(
     robot: RobotModel, data: Measurements, placement: Placement
 ) -> _CandidateEquations:
-    """Return the fit of all parameters, with the gears loaded by the load alone, or by weights and compensator too.
+    """Return the fit of all parameters, with gears that follow the load alone, or weights and compensator too.
 
     Weights and compensator load the gears if the evidence for it is clear, or if no fit without them exists.
 
@@ -442,15 +446,15 @@ def _equations_with_weights_or_without(
     # if the geometry is a weightless robot's, weights and compensator act on the gears like a load: nothing to choose
     has_gravity_torque = robot.subtract_reference and (robot.has_weight or robot.compensator is not None)
     solutions: list[_CandidateEquations] = []
-    for in_gears in (False, True) if has_gravity_torque else (False,):
+    for carries_weight in (False, True) if has_gravity_torque else (False,):
         try:
-            solutions.append(_candidate_equations(robot, data, placement, in_gears, compensator=False))
+            solutions.append(_candidate_equations(robot, data, placement, carries_weight, compensator=False))
         except PostprocError:
-            if not solutions and in_gears == has_gravity_torque:  # this was the last one
+            if not solutions and carries_weight == has_gravity_torque:  # this was the last one
                 raise
     # with one solution alone, first and last are the same
     first, last = solutions[0], solutions[-1]
-    return last if last.full_regression.evidence > first.full_regression.evidence + CLEAR else first
+    return last if last.full_regression.evidence > first.full_regression.evidence + CLEAR_GAIN else first
 
 
 def evidence_of(structure: Structure, values: Array, data: Measurements, placement: Placement) -> float:
@@ -464,24 +468,24 @@ def evidence_of(structure: Structure, values: Array, data: Measurements, placeme
 
 def _has_uncertain_compensator(choice: Choice) -> bool:
     """Return whether the readings do not determine the stiffness of a free compensator; False without one."""
-    fit, spring = choice.fit, CompensatorStiffness()
-    if spring not in fit.parameter_values:
+    fit, k_c = choice.fit, CompensatorStiffness()
+    if k_c not in fit.parameter_values:  # the compensator has the values of the robot
         return False
-    index = fit.structure.parameters.index(spring)
+    index = fit.structure.parameters.index(k_c)
     half_width, stiffness = fit.ci95[index], fit.values[index]
     return bool(half_width > UNCERTAIN_SHARE * stiffness)
 
 
 def _candidate_equations(
-    robot: RobotModel, data: Measurements, placement: Placement, in_gears: bool, compensator: bool
+    robot: RobotModel, data: Measurements, placement: Placement, carries_weight: bool, compensator: bool
 ) -> _CandidateEquations:
     """Return the structure with all candidate parameters, fitted in `_LINEARISATIONS`, and its last equations.
 
-    :param in_gears: whether weights and compensator load the gears at rest.
+    :param carries_weight: whether weights and compensator load the gears at rest.
     :param compensator: whether K_c and s₀ are parameters.
     :raises PostprocError: the springs have no equilibrium under a measured load.
     """
-    structure, kinds = full_structure(robot, data, in_gears, compensator)
+    structure, kinds = full_structure(robot, data, carries_weight, compensator)
     prior, values, columns = prior_of(structure), structure.start_values(), np.arange(len(structure.parameters))
     for _ in range(_LINEARISATIONS):
         equations = linearise(structure, values, data, placement)
@@ -510,7 +514,7 @@ def _mean_of_structures(solution: _CandidateEquations, compensator: bool) -> Mea
         )
     evidence = np.array([member.regression.evidence for member in members])
     is_linear = np.array([not member.nonlinear for member in members])
-    has_clear_gears = evidence.max() >= evidence[is_linear].max() + CLEAR
+    has_clear_gears = evidence.max() >= evidence[is_linear].max() + CLEAR_GAIN
     is_candidate = np.ones(len(members), dtype=bool) if has_clear_gears else is_linear
     weights = _stacking_weights(equations, members, np.flatnonzero(is_candidate))
     return Mean(solution.structure, equations, tuple(members), weights)
@@ -521,12 +525,13 @@ def folds(equations: LinearEquations) -> Ints:
     return np.random.default_rng(0).permutation(equations.config_count) % min(_FOLDS, equations.config_count)
 
 
-def _extend(
+def _add_couplings_and_waves(
     mean: Mean, solution: _CandidateEquations, data: Measurements, placement: Placement
 ) -> tuple[Mean, _CandidateEquations]:
     """Return the mean with further structures, if the evidence for them is clear.
 
-    Tried are couplings of joints, then waves of the compliances over the pose, on the structure with the most evidence.
+    Tried are couplings of joints (each deflects by the torque on the other), then waves of the compliances over the
+    joint angles, on the structure with the most evidence.
 
     :param solution: the structure with all candidate parameters.
     :returns: the mean, and `solution` with the new parameters; both unchanged without clear evidence.
@@ -585,7 +590,7 @@ def _supported_extensions(
             columns = np.concatenate([base.regression.columns, new_columns])
             name = base.name + label
             member = Member.of(name, base.nonlinear, equations=equations, prior=prior, columns=columns, fold=fold)
-            if member.regression.evidence > base.regression.evidence + CLEAR:
+            if member.regression.evidence > base.regression.evidence + CLEAR_GAIN:
                 base = member
                 extensions.append(member)
     return extensions
@@ -597,9 +602,10 @@ def _fold_residuals(regression: Regression, equations: LinearEquations, fold: In
     :param fold: (C,) number of the fold of each configuration.
     """
     residual = np.empty(len(equations.target))
-    for index in np.unique(fold):
-        rows = fold[equations.config] == index
-        residual[rows] = equations.residual(regression.solve(equations, np.flatnonzero(fold == index)), rows)
+    for number in np.unique(fold):
+        is_left_out = fold[equations.config] == number
+        values = regression.solve(equations, excluded_configs=np.flatnonzero(fold == number))
+        residual[is_left_out] = equations.residual(values, is_left_out)
     return residual
 
 
@@ -647,11 +653,11 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
     is_constant = _is_constant_over_pose(mean.structure, spread)
     columns = np.flatnonzero((spread > 0.0) & ((values != 0.0) | ~is_link) & ~is_constant)
     transform = projection(equations, columns, spread)
-    dof, influence = _effective_parameters(mean)
+    parameter_number, influence = _effective_parameters(mean)
     # twice the posterior times the design effect, and the jackknife: the bound then holds for nearly every simulated
     # robot (see the module)
     bound_covariance = 2.0 * design_effect(equations, influence, held_out_residual) * posterior + jackknife
-    fit = _fit_of(mean, columns, transform @ posterior @ transform.T, dof, data, placement)
+    fit = _fit_of(mean, columns, transform @ posterior @ transform.T, parameter_number, data, placement)
     square_errors, table = equations.mean_squares(held_out_residual), _candidate_table(mean)
     is_narrower = np.sqrt(np.diag(posterior)) < _PRIOR_SHARE * spread
     held_out_by_state = held_out_residual.reshape(len(data.loaded_states), len(data.points), 3)
@@ -663,7 +669,7 @@ def _choice_of_mean(mean: Mean, solution: _CandidateEquations, data: Measurement
         held_out=square_errors,
         left_out=unwhiten(whitening(data), held_out_by_state),
         influence=transform @ influence,
-        effective_parameters=dof,
+        effective_parameters=parameter_number,
         held_by_prior=tuple(parameters[index] for index in np.flatnonzero((spread > 0.0) & ~is_narrower)),
         evidence=solution.full_regression.evidence,
     )
@@ -794,7 +800,8 @@ def _candidate_table(mean: Mean) -> tuple[Candidate, ...]:
         difference, values = squares - mean_errors, member.regression.solve(equations)
         rows.append(
             Candidate(
-                name=member.name + (" with load and weights" if mean.structure.in_gears and member.nonlinear else ""),
+                name=member.name
+                + (" with load and weights" if mean.structure.carries_weight and member.nonlinear else ""),
                 parameters=len(member.regression.columns),
                 active=int(np.count_nonzero(values)),
                 rms_sigma=float(np.sqrt(np.mean(equations.residual(values) ** 2))),

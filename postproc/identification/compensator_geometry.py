@@ -137,7 +137,7 @@ class MarkerPlacement(Struct, frozen=True, eq=False):
 class CompensatorGeometry(Struct, frozen=True, eq=False):
     """L, a_x, a_y of Eq. (3) with their uncertainty.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param covariance: (3, 3) of the noise and of the bias of Eq. (7) [m²].
     :param ci95: (3,) half widths of the 95 % intervals [m].
     :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
@@ -146,7 +146,7 @@ class CompensatorGeometry(Struct, frozen=True, eq=False):
     :param warnings: for the user.
     """
 
-    value: Array
+    lengths: Array
     covariance: Array
     ci95: Array
     sigma: float
@@ -178,7 +178,7 @@ def joint_circle(q2: Array, p1: Array) -> JointCircle:
     :param q2: (m,) angles of joint 2 [rad].
     :param p1: (..., m, 3) positions of P1 in the tracker frame [m].
     """
-    u = _unit_vectors(q2)
+    u = _unit_vectors(q2)  # directions P2 → P1 in the axes of the mechanism
     mean = p1.mean(axis=-2)
     u_hat, p_hat = u - u.mean(axis=0), p1 - mean[..., None, :]
     left, _, right = np.linalg.svd(u_hat.T @ p_hat)
@@ -214,7 +214,8 @@ def swivel_axis(p0: Array) -> tuple[Array, Array]:
     moment = np.einsum("...km,...kmi->...i", s_hat, p_hat)
     in_plane = np.einsum("...ia,...ja,...j->...ia", plane, plane, moment) / eigenvalues[..., None, 1:]
     height = np.einsum("...i,...i->...", normal, p.mean(axis=(-3, -2)))
-    return 0.5 * in_plane.sum(axis=-1) + normal * height[..., None] + origin, normal
+    centre = 0.5 * in_plane.sum(axis=-1) + normal * height[..., None] + origin
+    return centre, normal
 
 
 def geometry(q2: Array, p1: Array, p0: Array) -> Array:
@@ -240,24 +241,24 @@ def geometry(q2: Array, p1: Array, p0: Array) -> Array:
     return np.stack([length, -offset[..., 0], -offset[..., 1]], axis=-1)
 
 
-def mechanism(value: Array, q2: Array, radius: Array, angle: Array) -> tuple[Array, Array]:
+def mechanism(lengths: Array, q2: Array, radius: Array, angle: Array) -> tuple[Array, Array]:
     """Return the positions of P1 (m, 3) and of markers on the compensator (k, m, 3) [m], axes of the mechanism.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param q2: (m,) angles of joint 2 [rad].
     :param radius: (k,) distances of the markers from P0 [m].
     :param angle: (k,) of the markers from the line P0 → P1, positive as q2 [rad].
     """
-    p1, pivot = value[0] * _unit_vectors(q2), np.array([-value[1], -value[2], 0.0])
-    return p1, pivot + radius[:, None, None] * _unit_vectors(spring_direction(value, q2) + angle[:, None])
+    p1, pivot = lengths[0] * _unit_vectors(q2), np.array([-lengths[1], -lengths[2], 0.0])
+    return p1, pivot + radius[:, None, None] * _unit_vectors(spring_direction(lengths, q2) + angle[:, None])
 
 
-def spring_direction(value: Array, q2: Array) -> Array:
+def spring_direction(lengths: Array, q2: Array) -> Array:
     """Return the angle (m,) [rad] of the line P0 → P1 from the x axis of the mechanism, at angles q2 (m,) [rad].
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     """
-    length, ax, ay = value
+    length, ax, ay = lengths
     return np.asarray(np.unwrap(np.arctan2(length * np.sin(q2) + ay, length * np.cos(q2) + ax)))
 
 
@@ -315,16 +316,16 @@ def even_angles(count: int) -> Array:
     return np.asarray(np.arange(count) * (np.pi / 2.0 if count < 3 else 2.0 * np.pi / count), dtype=np.float64)
 
 
-def expected_covariance(value: Array, q2: Array, radius: Array, angle: Array, variance: float) -> Array:
+def expected_covariance(lengths: Array, q2: Array, radius: Array, angle: Array, variance: float) -> Array:
     """Return the covariance (3, 3) of L, a_x, a_y [m²] that planned readings will give, with the square of the bias.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param q2: (m,) angles of joint 2 at which to measure [rad].
     :param radius: (k,) distances of the markers from P0 [m].
     :param angle: (k,) of the markers from the line P0 → P1 [rad].
     :param variance: of one coordinate of the mean of the repeats [m²].
     """
-    p1, p0 = mechanism(value, q2, radius, angle)
+    p1, p0 = mechanism(lengths, q2, radius, angle)
     variances = np.full(p0.shape[:2], variance)
     bias = np.concatenate([[0.0], -pivot_bias(p0, variances)[:2]])  # of L, a_x, a_y: P0 is at (−a_x, −a_y)
     return np.asarray(noise_covariance(q2, p1, p0, variances[0], variances) + np.outer(bias, bias))
@@ -358,10 +359,10 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     :raises MeasurementError: the readings do not belong to one such mechanism.
     """
     q2, p1, p0 = readings.q2, readings.p1, readings.p0
-    value = geometry(q2, p1, p0)
+    lengths = geometry(q2, p1, p0)
     residual_p1, residual_p0 = _circle_residuals(readings)
     _refuse_wrong_markers(readings, residual_p1, residual_p0)
-    _refuse_size(value * MM_PER_M)
+    _refuse_size(lengths * MM_PER_M)
     noise = _noise(readings, residual_p1, residual_p0)
     sigma, dof = noise.sigma, noise.dof
     variance_p1, variance_p0 = sigma**2 / readings.count_p1, sigma**2 / readings.count_p0
@@ -370,18 +371,18 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
     bias = np.concatenate([[0.0], -(axes.T @ pivot_bias(p0, variance_p0))[:2]])
     covariance = noise_covariance(q2, p1, p0, variance_p1, variance_p0) + np.outer(bias, bias)
     ci95 = student_95(dof) * np.sqrt(np.diag(covariance))
-    radius, angle = _polar_coordinates(value, readings, axes)
-    even_intervals = _even_intervals(value, readings, radius=radius, angle=angle, sigma=sigma, dof=dof)
+    radius, angle = _polar_coordinates(lengths, readings, axes)
+    even_intervals = _even_intervals(lengths, readings, radius=radius, angle=angle, sigma=sigma, dof=dof)
     markers = MarkerPlacement(readings.markers, radius, angle, bias, even_intervals)
-    turn = float(np.ptp(spring_direction(value, q2)))
+    turn = float(np.ptp(spring_direction(lengths, q2)))
     warnings = [*readings.warnings, *noise.warnings]
-    if np.any(ci95 > _WIDE_SHARE * np.hypot(value[1], value[2])):
+    if np.any(ci95 > _WIDE_SHARE * np.hypot(lengths[1], lengths[2])):
         warnings.append(
             f"a_x ± {ci95[1] * MM_PER_M:.1f} mm, a_y ± {ci95[2] * MM_PER_M:.1f} mm: the compensator turned by only "
             f"{turn * DEG_PER_RAD:.1f}°. {_remedy(markers, ci95)}"
         )
     return CompensatorGeometry(
-        value=value,
+        lengths=lengths,
         covariance=covariance,
         ci95=ci95,
         sigma=sigma,
@@ -393,19 +394,19 @@ def identify(readings: MarkerReadings) -> CompensatorGeometry:
 
 
 def _even_intervals(
-    value: Array, readings: MarkerReadings, *, radius: Array, angle: Array, sigma: float, dof: int
+    lengths: Array, readings: MarkerReadings, *, radius: Array, angle: Array, sigma: float, dof: int
 ) -> Array:
     """Return the half widths (3,) [m] of the 95 % intervals that k markers spread evenly around P0 would give.
 
     They are at the mean radius of the k markers, the first at its angle.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param radius: (k,) distances of the markers from P0 [m], and `angle` (k,) from the line P0 → P1 [rad].
     :param sigma: noise of one coordinate of one reading [m], and `dof` its degrees of freedom.
     """
     count = len(radius)
     covariance = expected_covariance(
-        value,
+        lengths,
         readings.q2,
         radius=np.full(count, radius.mean()),
         angle=even_angles(count) + float(angle[0]),
@@ -447,9 +448,9 @@ def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> 
         if fdtrc(fit_dof, readings.scatter_dof, fit_variance / variance) < _COMMON_ERROR_CHANCE:
             mean_error = np.sqrt(fit_variance / readings.count_p0.mean()) * MM_PER_M
             return _Noise(
-                float(np.sqrt(fit_variance)),
-                fit_dof,
-                [
+                sigma=float(np.sqrt(fit_variance)),
+                dof=fit_dof,
+                warnings=[
                     f"the means of the repeats are {mean_error:.3f} mm off their circles (RMS of a coordinate), more "
                     f"than the repeats explain, which scatter by {np.sqrt(variance) * MM_PER_M:.3f} mm: the intervals "
                     "are as wide as that asks for. Check that the tracker was not moved between the angles, that the "
@@ -457,7 +458,7 @@ def _noise(readings: MarkerReadings, residual_p1: Array, residual_p0: Array) -> 
                 ],
             )
     dof = readings.scatter_dof + fit_dof
-    return _Noise(float(np.sqrt((readings.scatter + fit_squares) / dof)), dof, [])
+    return _Noise(sigma=float(np.sqrt((readings.scatter + fit_squares) / dof)), dof=dof, warnings=[])
 
 
 def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
@@ -474,16 +475,16 @@ def _remedy(markers: MarkerPlacement, ci95: Array) -> str:
     )
 
 
-def _polar_coordinates(value: Array, readings: MarkerReadings, axes: Array) -> tuple[Array, Array]:
+def _polar_coordinates(lengths: Array, readings: MarkerReadings, axes: Array) -> tuple[Array, Array]:
     """Return radius (k,) [m] and angle β (k,) [rad] of the markers about P0, from the line P0 → P1.
 
-    :param value: (3,) L, a_x, a_y [m].
+    :param lengths: (3,) L, a_x, a_y [m].
     :param axes: (3, 3) of the mechanism as columns in the tracker frame.
     """
     centre, _ = swivel_axis(readings.p0)
     offset = (readings.p0 - centre) @ axes[:, :2]  # (k, m, 2) in the plane of the mechanism
     # as complex numbers: turned back by the angle of the spring, a marker is at one place at all angles of joint 2
-    body_offset = offset @ np.array([1.0, 1.0j]) * np.exp(-1.0j * spring_direction(value, readings.q2))
+    body_offset = offset @ np.array([1.0, 1.0j]) * np.exp(-1.0j * spring_direction(lengths, readings.q2))
     mean_offset = body_offset.mean(axis=1)
     return np.abs(mean_offset), np.angle(mean_offset)
 
@@ -555,21 +556,21 @@ def _refuse_changed_distances(readings: MarkerReadings) -> None:
     )
 
 
-def _refuse_size(value: Array) -> None:
+def _refuse_size(lengths: Array) -> None:
     """Refuse L, a_x, a_y (3,) [mm] that no compensator has.
 
     :raises MeasurementError: a length is out of range, or P0 is inside the circle of P1.
     """
-    if not _LENGTHS[0] <= value[0] <= _LENGTHS[1] or np.abs(value[1:]).max() > _MOST_OFFSET:
+    if not _LENGTHS[0] <= lengths[0] <= _LENGTHS[1] or np.abs(lengths[1:]).max() > _MOST_OFFSET:
         raise MeasurementError(
-            f"L comes out {value[0]:.3g} mm, a_x {value[1]:.3g} mm, a_y {value[2]:.3g} mm: "
+            f"L comes out {lengths[0]:.3g} mm, a_x {lengths[1]:.3g} mm, a_y {lengths[2]:.3g} mm: "
             "no robot has such a compensator",
             advice="Give X, Y, Z in mm and q2 in degrees, and check the names of the markers.",
         )
-    pivot_distance = np.hypot(value[1], value[2])
-    if pivot_distance <= value[0]:
+    pivot_distance = np.hypot(lengths[1], lengths[2])
+    if pivot_distance <= lengths[0]:
         raise MeasurementError(
-            f"P0 comes out {pivot_distance:.1f} mm from P2, inside the circle of P1 ({value[0]:.1f} mm)",
+            f"P0 comes out {pivot_distance:.1f} mm from P2, inside the circle of P1 ({lengths[0]:.1f} mm)",
             advice="Check the sign of q2 (KUKA: negative upwards), and that the markers P01… sit on the compensator.",
         )
 
@@ -735,7 +736,7 @@ def as_data(result: CompensatorGeometry, source: str) -> dict[str, object]:
     """
     markers = result.markers
     sums = markers.sums * MM_PER_M
-    values = zip(_KEYS, result.value * MM_PER_M, result.ci95 * MM_PER_M, strict=True)
+    values = zip(_KEYS, result.lengths * MM_PER_M, result.ci95 * MM_PER_M, strict=True)
     return {
         "source": source,
         "sigma_mm": result.sigma * MM_PER_M,
@@ -760,7 +761,7 @@ def text_lines(result: CompensatorGeometry) -> list[str]:
     """Return the values with their intervals, and the effect of the marker placement, for a terminal."""
     lines = [
         f"{name.removesuffix('_mm'):>4} = {value * MM_PER_M:8.3f} ± {half * MM_PER_M:.3f} mm"
-        for name, value, half in zip(_KEYS, result.value, result.ci95, strict=True)
+        for name, value, half in zip(_KEYS, result.lengths, result.ci95, strict=True)
     ]
     markers = result.markers
     count = f"{len(markers.names)} marker{'s' if len(markers.names) > 1 else ''}"

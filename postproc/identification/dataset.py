@@ -100,14 +100,21 @@ def _origin_findings(folder: Path) -> list[Finding]:
     findings = []
     try:
         dataset = files.read_toml(folder / DATASET, Dataset, MeasurementError)
-        empty = [key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(dataset, key)]
+        empty_keys = [
+            key for key in ("name", "licence", "source", "robot", "rig", "device") if not getattr(dataset, key)
+        ]
         text = f"{DATASET}: {dataset.name}, {dataset.licence}, from {dataset.source}"
         findings.append(
-            Finding(text if not empty else f"{DATASET}: {', '.join(empty)} empty", not empty, required=True)
+            Finding(
+                text if not empty_keys else f"{DATASET}: {', '.join(empty_keys)} empty",
+                is_present=not empty_keys,
+                required=True,
+            )
         )
     except PostprocError as error:
         findings.append(Finding(f"{DATASET}: {error}", is_present=False, required=True))
-    findings.append(Finding(f"{LICENCE}: text of the licence", (folder / LICENCE).is_file(), required=True))
+    has_licence = (folder / LICENCE).is_file()
+    findings.append(Finding(f"{LICENCE}: text of the licence", is_present=has_licence, required=True))
     return findings
 
 
@@ -126,17 +133,20 @@ def _reading_findings(data: Measurements) -> list[Finding]:
             required=True,
         ),
         Finding(
-            f"{len(data.q)} configurations; {_USUAL_CONFIGURATIONS} are usual", len(data.q) >= _USUAL_CONFIGURATIONS
+            f"{len(data.q)} configurations; {_USUAL_CONFIGURATIONS} are usual",
+            is_present=len(data.q) >= _USUAL_CONFIGURATIONS,
         ),
         Finding(
             f"loads of {load.min():.0f} to {load.max():.0f} N on {level_count} levels; two show gears that are not "
             "linear",
-            level_count >= 2,
+            is_present=level_count >= 2,
         ),
-        Finding(f"{repeats} repeats; {_USUAL_REPEATS} show the noise", repeats >= _USUAL_REPEATS),
-        Finding(f"{len(data.points)} points; three show all six directions of a link", len(data.points) >= 3),
-        Finding("readings without load, which show the geometry", not data.are_displacements),
-        Finding(gap_notes[0] if gap_notes else "every repeat has all points", not gap_notes),
+        Finding(f"{repeats} repeats; {_USUAL_REPEATS} show the noise", is_present=repeats >= _USUAL_REPEATS),
+        Finding(
+            f"{len(data.points)} points; three show all six directions of a link", is_present=len(data.points) >= 3
+        ),
+        Finding("readings without load, which show the geometry", is_present=not data.are_displacements),
+        Finding(gap_notes[0] if gap_notes else "every repeat has all points", is_present=not gap_notes),
     ]
 
 
@@ -144,8 +154,8 @@ def _setup_findings(setup: Experiment) -> list[Finding]:
     """Return the findings on the stated errors of load and load point."""
     has_load_error = setup.load_error_percent is not None
     return [
-        Finding("load_error_percent of the load cell or the scales", has_load_error),
-        Finding("load_point_sigma_mm of the load point", setup.load_point_sigma_mm > 0.0),
+        Finding("load_error_percent of the load cell or the scales", is_present=has_load_error),
+        Finding("load_point_sigma_mm of the load point", is_present=setup.load_point_sigma_mm > 0.0),
     ]
 
 
@@ -157,7 +167,7 @@ def _torque_finding(torque: np.ndarray) -> Finding:
     text = f"torques up to {torque_text} N·m on A1 … A6"
     if unloaded_joints:
         text = f"{text}: {', '.join(unloaded_joints)} hardly loaded"
-    return Finding(text, not unloaded_joints)
+    return Finding(text, is_present=not unloaded_joints)
 
 
 def _agreement_findings(robot: RobotModel, data: Measurements) -> list[Finding]:
@@ -173,7 +183,8 @@ def _agreement_findings(robot: RobotModel, data: Measurements) -> list[Finding]:
     faults = [*(f"outlier: {name}" for name in checked_readings.outliers), *filter(None, [checked_readings.doubt])]
     faults += [note for note in checked_readings.warnings if note not in gaps(data)]  # gaps have their own finding
     if not faults:
-        return [Finding(f"readings that agree with {robot.name}: points, angles, frame, direction of the loads", True)]
+        text = f"readings that agree with {robot.name}: points, angles, frame, direction of the loads"
+        return [Finding(text, is_present=True)]
     return [Finding(fault, is_present=False) for fault in faults]
 
 
@@ -191,19 +202,21 @@ def _checksum_finding(folder: Path) -> Finding:
     stated_digests = {
         name: digest.lower() for digest, name in _CHECKSUM_LINE.findall(files.read_text(path, MeasurementError))
     }
-    present = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
+    path_by_name = {p.relative_to(folder).as_posix(): p for p in sorted(folder.rglob("*")) if p.is_file() and p != path}
     # beginning of the message → names of the files with this fault
     files_by_fault = {
         "not those of": [
-            name for name in present if name in stated_digests and stated_digests[name] != _digest(present[name])
+            name
+            for name in path_by_name
+            if name in stated_digests and stated_digests[name] != _digest(path_by_name[name])
         ],
-        "none for": [name for name in present if name not in stated_digests],
-        "no such files:": [name for name in stated_digests if name not in present],
+        "none for": [name for name in path_by_name if name not in stated_digests],
+        "no such files:": [name for name in stated_digests if name not in path_by_name],
     }
     parts = [f"{fault} {', '.join(names)}" for fault, names in files_by_fault.items() if names]
     if parts:
         return Finding(f"{SUMS}: {'; '.join(parts)}; {advice}", is_present=False, required=True)
-    return Finding(f"{SUMS}: right for {len(present)} files", is_present=True, required=True)
+    return Finding(f"{SUMS}: right for {len(path_by_name)} files", is_present=True, required=True)
 
 
 def _digest(file: Path) -> str:

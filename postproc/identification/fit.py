@@ -81,6 +81,8 @@ _LEAST_EFFECT = 1e-6
 class Fit(Struct, frozen=True, eq=False):
     """Parameters that minimise the weighted squares of the residuals.
 
+    Whitened readings are scaled and combined so that their noise is independent with variance 1.
+
     :param structure: the structure fitted.
     :param values: (p,) SI.
     :param covariance: (p, p), for noise σ as stated; infinite where the readings do not determine a value.
@@ -183,6 +185,7 @@ def gauss_newton(
             continue
         last_good_values, smallest_cost = values, min(cost, smallest_cost)
         design = whitened_derivatives(whitening_matrices, slopes, data)
+        # without effect on the readings a parameter would take any value: a column of zeros keeps it at zero
         design[:, np.linalg.norm(design, axis=0) * structure.usual_sizes() < _LEAST_EFFECT] = 0.0
         target = white_residual + design @ values
         new_values = solve(design, target)
@@ -239,8 +242,8 @@ def covariance_of(design: Array, usual_sizes: Array) -> Array:
     inverse = (directions[is_determined].T / singular_values[is_determined] ** 2) @ directions[is_determined]
     covariance = inverse / np.outer(scale, scale)
     # parameters with a component in a direction that is not determined; the limit is above rounding
-    is_open = np.sum(directions[~is_determined] ** 2, axis=0) > 1e-6
-    for index in np.flatnonzero(has_no_effect | is_open):
+    is_undetermined = np.sum(directions[~is_determined] ** 2, axis=0) > 1e-6
+    for index in np.flatnonzero(has_no_effect | is_undetermined):
         covariance[index, :] = covariance[:, index] = 0.0
         covariance[index, index] = np.inf
     return np.asarray(covariance)
@@ -340,9 +343,9 @@ class LinearEquations(Struct, frozen=True, eq=False, dict=True):
         product = self.design * self.weight[:, None]
         masks = [self.config == index for index in range(self.config_count)]
         return NormalEquations(
-            np.array([product[rows].T @ self.design[rows] for rows in masks]),
-            np.array([product[rows].T @ self.target[rows] for rows in masks]),
-            np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in masks]),
+            square=np.array([product[rows].T @ self.design[rows] for rows in masks]),
+            right=np.array([product[rows].T @ self.target[rows] for rows in masks]),
+            square_sum=np.array([float(self.weight[rows] @ self.target[rows] ** 2) for rows in masks]),
         )
 
     def normal_equations(self, columns: Ints, excluded_configs: Ints | None = None) -> NormalEquations:
@@ -414,6 +417,7 @@ _SHARE_OF_JOINT = 0.1
 """Usual compliance of a part of a gear, and of a link's rotation, over that of the joint (assumed)."""
 
 JOINT, STATED_SPREAD = "joint", ""
+"""Kinds of parameters: joint compliances; parameters whose prior has a stated standard deviation without a factor."""
 FACTORS: dict[str, tuple[float, float]] = {
     JOINT: (0.0, 0.7),
     "link translation": (0.0, 1.0),
@@ -707,6 +711,8 @@ class _Evidence(Struct, frozen=True, eq=False):
 
 def learn(equations: LinearEquations, prior: Prior, columns: Ints) -> Regression:
     """Return the regression on n parameters whose prior widths and noise factor maximise the evidence (MacKay 1992).
+
+    Parameters of one kind share a factor on their prior widths.
 
     :param columns: (n,) indices of the parameters to use, among those of the equations.
     """

@@ -85,12 +85,12 @@ def unobservable_parameters(
 
     The compensator comes first, then the compliances by the width of their intervals, widest first.
 
-    :param covariance_has_misfit: whether the covariance already contains the unexplained residual.
+    :param covariance_has_misfit: whether the covariance already contains the residual that noise does not explain.
     """
     robot = fit.structure.prior
     torque = joint_torques(robot, data)
     entries = []
-    # an unexplained residual widens the intervals; noise alone does not double χ² (assumed)
+    # noise alone does not double χ² (assumed): the intervals, which are for noise alone, grow with the residual
     widens_intervals = not covariance_has_misfit and fit.chi2 > 2.0 * fit.dof > 0
     interval_factor = np.sqrt(max(1.0, fit.chi2 / fit.dof)) if widens_intervals else 1.0
     for index, parameter in enumerate(fit.structure.parameters):
@@ -118,36 +118,41 @@ def _unobservable_compensator(
 ) -> UnobservableParameter | None:
     """Return the reason that the compensator of a fit is not observable, with advice; None if it is observable.
 
-    :param interval_factor: factor on the 95 % intervals of the fit, by an unexplained residual.
-    :param is_k2_undetermined: whether the fit does not determine the compliance of joint 2.
+    Joint 2 has three unknowns: the stiffness of its gear, and stiffness K_c and free length s₀ of the compensator's
+    spring. Only their sum at each level of q2 shows, so that three levels or more are needed.
+
+    :param interval_factor: factor ≥ 1 on the 95 % intervals of the fit: residuals that noise does not explain widen
+        them.
+    :param is_k2_undetermined: whether the fit does not determine the compliance of the gear of joint 2.
     """
     index = fit.structure.parameters.index(CompensatorStiffness())
-    value, half_width = float(fit.values[index]), float(fit.ci95[index] * interval_factor)
+    stiffness, half_width = float(fit.values[index]), float(fit.ci95[index] * interval_factor)  # [N/m]
     level_count = int(levels_of(data).max()) + 1
+    # if the gear is not determined either, the three unknowns cannot be separated: more levels help then too
     if level_count < 3 or is_k2_undetermined:
         return UnobservableParameter(
             CompensatorStiffness(),
             f"K_theta2_0, K_c and s_0 are three unknowns, and there are {level_count} levels of q2",
             "Measure at five levels of q2, far apart.",
         )
-    if not is_physical(fit):
+    if not has_possible_compensator(fit):
         return UnobservableParameter(
             CompensatorStiffness(),
-            f"the fit gives K_c {value:.3g} N/m, which no spring has: noise, or flexibility that is not the joint's, "
-            "outweighs its effect",
+            f"the fit gives K_c {stiffness:.3g} N/m, which no spring has: noise, or flexibility that is not the "
+            "joint's, outweighs its effect",
             "Measure more and heavier loads at levels of q2 far apart.",
         )
-    if half_width > UNCERTAIN_SHARE * value:
+    if half_width > UNCERTAIN_SHARE * stiffness:
         return UnobservableParameter(
             CompensatorStiffness(),
-            f"its effect on joint 2 is too small against the noise (K_c {value:.2g} ± {half_width:.2g} N/m)",
+            f"its effect on joint 2 is too small against the noise (K_c {stiffness:.2g} ± {half_width:.2g} N/m)",
             f"Measure more and heavier loads at levels of q2 far apart (there are {level_count}); a compensator that "
             "only balances the weights can not be seen in deflections.",
         )
     return None
 
 
-def is_physical(fit: Fit) -> bool:
+def has_possible_compensator(fit: Fit) -> bool:
     """Return whether the compensator of a fit could be built: K_c positive, a free length from 0 to `_MAX_FREE_LENGTH`.
 
     True for a fit without compensator.
@@ -191,7 +196,7 @@ def _uncertain_joint(parameter: JointCompliance, fit: Fit, half_width: float) ->
     if np.isfinite(half_width):
         value = fit.values[index] * PER_URAD
         reason = f"its 95 % interval is ± {half_width * PER_URAD:.2g} µrad/(N·m) for a value of {value:.3g}"
-    # a correlation that is worth a mention (assumed)
+    # 0.9: a correlation that is worth a mention (assumed)
     if np.abs(correlation).max() > 0.9:
         reason += (
             f", and it can hardly be separated from {fit.structure.parameters[partner].symbol} "
@@ -208,22 +213,22 @@ def unloaded_joints(robot: RobotModel, data: Measurements) -> tuple[JointComplia
     return tuple(joint for joint, is_idle in zip(JOINT_COMPLIANCES, is_unloaded, strict=True) if is_idle)
 
 
-def fit_with_prior_values(fit: Fit, open_entries: list[UnobservableParameter]) -> Fit:
+def fit_with_prior_values(fit: Fit, unobservable_entries: list[UnobservableParameter]) -> Fit:
     """Return the fit with the prior's values and variances for joint compliances that it does not determine.
 
-    They are added to its parameters if they were omitted from the fit.
+    The prior is the robot before the identification. Compliances that were omitted from the fit are added to it.
 
-    :param open_entries: parameters that are not observable; entries of the compensator are ignored.
+    :param unobservable_entries: parameters that are not observable; entries of the compensator are ignored.
     """
     robot, fit_parameters = fit.structure.prior, fit.structure.parameters
-    joints = [entry.parameter for entry in open_entries if isinstance(entry.parameter, JointCompliance)]
+    joints = [entry.parameter for entry in unobservable_entries if isinstance(entry.parameter, JointCompliance)]
     parameters = (*fit_parameters, *(joint for joint in joints if joint not in fit_parameters))
     size, fit_size = len(parameters), len(fit_parameters)
     values, covariance = np.zeros(size), np.zeros((size, size))
     values[:fit_size], covariance[:fit_size, :fit_size] = fit.values, fit.covariance
     design = np.zeros((len(fit.design), size))
     design[:, :fit_size] = fit.design
-    for joint in joints:
+    for joint in joints:  # independent of all other parameters
         index = parameters.index(joint)
         values[index] = robot.value(joint)
         covariance[index] = covariance[:, index] = 0.0
@@ -303,13 +308,13 @@ def extended_set(robot: RobotModel, data: Measurements, placement: Placement) ->
     return ExtendedSet(fit, Levels(q2, fit.values[rows], fit.covariance[np.ix_(rows, rows)]))
 
 
-def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 | None:
+def compensator_from_levels(levels: Levels, compensator: Compensator) -> SpringOfJoint2 | None:
     """Return gear and compensator of joint 2 from its compliance at levels of q2. Second step of Klimchik et al.
 
     Least squares by Eq. (9) and (10), which are linear in K⁰_θ2, K_c and s₀·K_c, weighted by the covariance of the
     levels.
 
-    :param law: compensator whose lengths L, a_x, a_y count; its spring does not.
+    :param compensator: compensator whose lengths L, a_x, a_y count; its spring does not.
     :returns: None if fewer than three levels have a positive compliance of finite variance, or if the levels do not
         separate the three values.
     """
@@ -319,7 +324,7 @@ def compensator_from_levels(levels: Levels, law: Compensator) -> SpringOfJoint2 
     stiffness = 1.0 / levels.compliance[is_determined]
     slope = -(stiffness**2)  # derivative of the stiffness by the compliance
     covariance = levels.covariance[np.ix_(is_determined, is_determined)] * np.outer(slope, slope)
-    design = np.column_stack([np.ones_like(stiffness), law.stiffness_columns(levels.q2[is_determined])])
+    design = np.column_stack([np.ones_like(stiffness), compensator.stiffness_columns(levels.q2[is_determined])])
     weight = np.linalg.inv(covariance)
     normal = design.T @ weight @ design
     scale = 1.0 / np.sqrt(np.diag(normal))
@@ -343,7 +348,7 @@ def fit_joints(
     """
     _check_count(data)
     parameters: list[Parameter] = [*JOINT_COMPLIANCES, *(COMPENSATOR if robot.compensator is not None else ())]
-    open_entries: list[UnobservableParameter] = []
+    unobservable_entries: list[UnobservableParameter] = []
     is_prior_refuted = False  # of the compensator's spring
     while parameters:
         structure = Structure(tuple(parameters), robot)
@@ -351,18 +356,20 @@ def fit_joints(
         start = None  # of the first fit only
         unobservable = unobservable_parameters(fit, data)
         # an uncertain spring stays if the prior's is refuted; one that cannot be built is no better than the prior's
-        if unobservable and unobservable[0].parameter in COMPENSATOR and is_physical(fit):
+        if unobservable and unobservable[0].parameter in COMPENSATOR and has_possible_compensator(fit):
             is_prior_refuted = is_prior_refuted or _refutes_prior_spring(fit, data, placement)
             unobservable = unobservable[1:] if is_prior_refuted else unobservable
         if not unobservable:
-            return fit, open_entries
+            return fit, unobservable_entries
         worst = unobservable[0]
         if worst.parameter in COMPENSATOR:  # without it the joints omitted before may be determined
-            parameters, open_entries = list(JOINT_COMPLIANCES), [worst]
+            parameters, unobservable_entries = list(JOINT_COMPLIANCES), [worst]
         else:
             parameters.remove(worst.parameter)
-            open_entries.append(worst)
-    raise MeasurementError("none of the compliances can be determined", file=data.file, advice=open_entries[0].advice)
+            unobservable_entries.append(worst)
+    raise MeasurementError(
+        "none of the compliances can be determined", file=data.file, advice=unobservable_entries[0].advice
+    )
 
 
 def _check_count(data: Measurements) -> None:
@@ -486,7 +493,7 @@ def _twists_by_compliance(robot: RobotModel, data: Measurements) -> Array:
     tool[:3, 3] = data.load_point
     x = elastostatics.coordinates(robot, data.q[data.state_config[data.loaded_states]])
     _, jacobian = kinematics.tcp(robot.actual, x, tool)
-    jacobian = jacobian[:, :, list(robot.actuated)]
+    jacobian = jacobian[:, :, list(robot.actuated)]  # of the joints alone, without springs of links
     torque = np.einsum("lij,li->lj", jacobian, data.wrench[data.loaded_states])
     return np.asarray(jacobian * torque[:, None])
 

@@ -267,7 +267,8 @@ def whiten(w: Array, values: Array) -> Array:
 def whitened_derivatives(w: Array, slopes: Array, data: Measurements) -> Array:
     """Return the whitened derivatives (3LP, p) of displacements; 0 for points that `visible_points` excludes.
 
-    :param w: (P, L, L), see `whitening`; `slopes` (L, P, 3, p), see `predict`.
+    :param w: (P, L, L) matrices of the points, which make their displacements independent with variance 1.
+    :param slopes: (L, P, 3, p) derivatives of the displacements by p parameters.
     """
     return whiten(w, slopes * visible_points(data)[..., None]).reshape(-1, slopes.shape[-1])
 
@@ -306,18 +307,19 @@ class Structure(Struct, frozen=True, eq=False, dict=True):
     :param parameters: (p,) to be identified.
     :param prior: robot, without springs of links, that gives all other values (and geometry, masses, compensator).
     :param levels: (C,) level of q2 of each configuration, for `LevelCompliance`.
-    :param in_gears: stiffening gears follow the torque of weights and compensator too, not the load alone.
+    :param carries_weight: whether gears that are not linear deflect by weights and compensator too, not by the load
+        alone.
     """
 
     parameters: tuple[Parameter, ...]
     prior: RobotModel
     levels: Ints | None = None
-    in_gears: bool = False
+    carries_weight: bool = False
 
     @cached_property
     def template(self) -> RobotModel:
         """The prior with a coordinate for every spring to be identified, and linear gears."""
-        plain = replace(self.prior, terms=(), carries_weight=self.in_gears)
+        plain = replace(self.prior, terms=(), carries_weight=self.carries_weight)
         return plain.with_link_springs(p for p in self.parameters if isinstance(p, LinkSpring))
 
     def active_rows(self, level: int | None) -> list[int]:
@@ -453,7 +455,8 @@ def joint_torques(robot: RobotModel, data: Measurements) -> Array:
 def levels_of(data: Measurements) -> Ints:
     """Return the level of q2 of each configuration (C,), numbered from 0 by angle.
 
-    A level ends where the next larger angle is more than `_SAME_LEVEL` away.
+    Configurations of one level have about the same angle of joint 2, and so the same effect of the compensator. A level
+    ends where the next larger angle is more than `_SAME_LEVEL` away.
     """
     order = np.argsort(data.q[:, 1])
     sorted_levels = np.concatenate([[0], np.cumsum(np.diff(data.q[order, 1]) > _SAME_LEVEL)])

@@ -71,14 +71,14 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     :param geometry_source: of the compensator's geometry if it was identified from markers, else None.
     :raises MeasurementError: the readings do not determine the values in units of the file.
     """
-    in_file = to_file_units(result.fit)
-    half_widths = NORMAL_95 * np.sqrt(np.diag(in_file.covariance))
-    tables = _parameter_tables(in_file.parameters, in_file.values, half_widths, source)
-    unknown = {entry.parameter for entry in result.missing}
+    file_values = to_file_units(result.fit)
+    half_widths = NORMAL_95 * np.sqrt(np.diag(file_values.covariance))
+    tables = _parameter_tables(file_values.parameters, file_values.values, half_widths, source)
+    unobservable = {entry.parameter for entry in result.missing}
     observable_tables = {
         joint.joint: tables["joints"][joint.joint]
         for joint in JOINT_COMPLIANCES
-        if joint.joint in tables["joints"] and joint not in unknown
+        if joint.joint in tables["joints"] and joint not in unobservable
     }
     joints = _joint_springs(observable_tables, prior, source)
     return ModelFile(
@@ -86,14 +86,14 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
         date=prior.date,
         language=prior.language,
         joints=joints,
-        gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.in_gears),
+        gravity=Gravity(reference=prior.gravity.reference, in_gears=result.fit.structure.carries_weight),
         compensator=_compensator_entry(result, prior, tables["compensator"], source, geometry_source),
         payload=prior.payload,
         geometry=prior.geometry,
         transmission=prior.transmission,
         geometry_error=prior.geometry_error,
         links=msgspec.convert(tables["links"], dict[str, LinkSprings]),
-        covariance=_covariance_table(in_file, joints),
+        covariance=_covariance_table(file_values, joints),
         discrepancy=DiscrepancyEntry(
             source=source, load_N=result.discrepancy.load.tolist(), u95_mm=(result.discrepancy.u95 * MM_PER_M).tolist()
         ),
@@ -109,20 +109,20 @@ def model_file(result: Identification, prior: ModelFile, source: str, geometry_s
     )
 
 
-def _covariance_table(in_file: FileValues, joints: Mapping[str, JointSpring]) -> CovarianceTable:
+def _covariance_table(file_values: FileValues, joints: Mapping[str, JointSpring]) -> CovarianceTable:
     """Return [covariance] of the parameters whose variance is not stated by the spring of their joint.
 
     A joint that keeps the prior's value keeps its `sigma_percent` too; without one its variance is in the table.
 
     :param joints: springs of the model, by the name of the joint.
     """
-    parameters = in_file.parameters
+    parameters = file_values.parameters
     rows = [
         index
         for index, parameter in enumerate(parameters)
         if not (isinstance(parameter, JointCompliance) and joints[parameter.joint].sigma_percent is not None)
     ]
-    return CovarianceTable.of([parameters[index].name for index in rows], in_file.covariance[np.ix_(rows, rows)])
+    return CovarianceTable.of([parameters[index].name for index in rows], file_values.covariance[np.ix_(rows, rows)])
 
 
 def _parameter_tables(
@@ -183,22 +183,22 @@ def _compensator_entry(
     :param spring_table: keys of the identified spring; empty: the spring keeps the prior's values.
     :param geometry_source: origin of identified lengths; None: the lengths are the prior's.
     """
-    law = result.fit.structure.prior.compensator
+    compensator = result.fit.structure.prior.compensator
     prior_entry = prior.compensator
-    if law is None or (prior_entry is None and not spring_table):
+    if compensator is None or (prior_entry is None and not spring_table):
         return None
     spring: dict[str, Any] = {
-        "stiffness_N_per_m": max(law.stiffness, 0.0),
-        "free_length_mm": max(law.free_length * MM_PER_M, 0.0),
+        "stiffness_N_per_m": max(compensator.stiffness, 0.0),
+        "free_length_mm": max(compensator.free_length * MM_PER_M, 0.0),
         "source": f"prior, not observable in {source}: {'' if prior_entry is None else prior_entry.source}",
         "assumed": True,
     } | spring_table
     if prior_entry is not None:
         spring["spread_percent"] = prior_entry.spread_percent
     return CompensatorEntry(
-        L_mm=law.L * MM_PER_M,
-        a_x_mm=law.ax * MM_PER_M,
-        a_y_mm=law.ay * MM_PER_M,
+        L_mm=compensator.L * MM_PER_M,
+        a_x_mm=compensator.ax * MM_PER_M,
+        a_y_mm=compensator.ay * MM_PER_M,
         sigma_percent=None if prior_entry is None or spring_table else prior_entry.sigma_percent,
         geometry_source=geometry_source or ("" if prior_entry is None else prior_entry.geometry_source),
         **spring,
@@ -319,18 +319,18 @@ def constant_springs_only(content: ModelFile) -> ModelFile:
 
 def report_data(result: Identification) -> record.IdentificationRecord:
     """Return the content of `identification.json`."""
-    in_file = to_file_units(result.fit)
+    file_values = to_file_units(result.fit)
     return record.IdentificationRecord(
         verdict=record.Verdict(bool(result.judgement.distrust), result.judgement.line),
         method=result.method,
         robot=result.prior.name,
-        parameters=_parameter_records(result, in_file),
+        parameters=_parameter_records(result, file_values),
         k2_levels=_level_records(result.levels),
         k2_curve=_k2_curve(result),
         from_levels=_spring_records(result.spring),
         residual=_residual_record(result),
-        discrepancy=_unexplained_records(result.discrepancy),
-        return_u95_mm=None if result.discrepancy.returned is None else result.discrepancy.returned * MM_PER_M,
+        discrepancy=_discrepancy_records(result.discrepancy),
+        return_u95_mm=None if result.discrepancy.return_bound is None else result.discrepancy.return_bound * MM_PER_M,
         workspace=_workspace_records(result.workspace),
         workspace_line=result.workspace.line,
         structure=None
@@ -342,10 +342,10 @@ def report_data(result: Identification) -> record.IdentificationRecord:
         held_by_prior=None if result.choice is None else [parameter.name for parameter in result.choice.held_by_prior],
         outliers=list(result.left_out),
         warnings=list(result.warnings),
-        assumptions=[GEARS_RETURN] if result.discrepancy.returned is None else [],
+        assumptions=[GEARS_RETURN] if result.discrepancy.return_bound is None else [],
         correlation=record.Correlation(
-            [parameter.name for parameter in in_file.parameters],
-            [[round(value, 4) for value in row] for row in correlations(in_file.covariance).tolist()],
+            [parameter.name for parameter in file_values.parameters],
+            [[round(value, 4) for value in row] for row in correlations(file_values.covariance).tolist()],
         ),
         states=_state_records(result.data),
         torque_Nm=np.abs(joint_torques(result.prior, result.data)).max(axis=0).tolist(),
@@ -403,9 +403,12 @@ def _residual_record(result: Identification) -> record.Residual:
     )
 
 
-def _unexplained_records(discrepancy: Discrepancy) -> list[record.CrossValidation]:
+def _discrepancy_records(discrepancy: Discrepancy) -> list[record.CrossValidation]:
     """Return the cross-validation errors at each level of loads, in mm."""
-    lengths = np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.own, discrepancy.u95], axis=1) * MM_PER_M
+    lengths = (
+        np.stack([discrepancy.held_out, discrepancy.noise, discrepancy.parameter_error, discrepancy.u95], axis=1)
+        * MM_PER_M
+    )
     return [
         record.CrossValidation(load_N=load, held_out_mm=held_out_mm, noise_mm=noise_mm, own_mm=own_mm, u95_mm=u95_mm)
         for load, (held_out_mm, noise_mm, own_mm, u95_mm) in zip(
@@ -437,22 +440,22 @@ def _state_records(data: Measurements) -> list[record.State]:
     ]
 
 
-def _parameter_records(result: Identification, in_file: FileValues) -> dict[str, record.Parameter]:
+def _parameter_records(result: Identification, file_values: FileValues) -> dict[str, record.Parameter]:
     """Return the parameters of `identification.json` by name.
 
     k1…k6, K⁰_θ2, K_c, s₀ (with a compensator) are always present, other parameters if they were identified. Sparse
     parameters (`Parameter.sparse`) count as identified if they are not zero.
 
-    :param in_file: values of the fit in units of the file.
+    :param file_values: values of the fit in units of the file.
     """
-    half_widths = NORMAL_95 * np.sqrt(np.diag(in_file.covariance))
-    triples = zip(in_file.parameters, in_file.values.tolist(), half_widths.tolist(), strict=True)
+    half_widths = NORMAL_95 * np.sqrt(np.diag(file_values.covariance))
+    triples = zip(file_values.parameters, file_values.values.tolist(), half_widths.tolist(), strict=True)
     values = {
         parameter: (value, half_width)
         for parameter, value, half_width in triples
         if value > 0.0 or not parameter.sparse
     }
-    prior, unknown = result.prior, {entry.parameter for entry in result.missing}
+    prior, unobservable = result.prior, {entry.parameter for entry in result.missing}
     springs = COMPENSATOR if prior.compensator is not None else ()
     always_present = (*JOINT_COMPLIANCES, *(springs if result.fit.structure.prior.compensator is not None else ()))
     # parameters that were fitted about the prior's value
@@ -461,7 +464,7 @@ def _parameter_records(result: Identification, in_file: FileValues) -> dict[str,
     prior_values = prior_values | dict(prior.terms) | prior_mean
     entries: dict[str, record.Parameter] = {}
     for parameter in dict.fromkeys((*always_present, *values)):
-        value = None if parameter in unknown else values.get(parameter)
+        value = None if parameter in unobservable else values.get(parameter)
         prior_value = None
         if parameter in always_present or parameter in prior_mean:
             prior_value, _ = parameter.file_value(prior_values)
@@ -566,15 +569,15 @@ def with_compensator_geometry(robot: RobotModel, path: Path) -> RobotModel:
     :raises MeasurementError: the file is unusable.
     """
     length, ax, ay = compensator_geometry.load(path)
-    robot_law = robot.compensator
-    law = Compensator(
-        stiffness=0.0 if robot_law is None else robot_law.stiffness,
-        free_length=0.0 if robot_law is None else robot_law.free_length,
+    robot_compensator = robot.compensator
+    compensator = Compensator(
+        stiffness=0.0 if robot_compensator is None else robot_compensator.stiffness,
+        free_length=0.0 if robot_compensator is None else robot_compensator.free_length,
         L=float(length),
         ax=float(ax),
         ay=float(ay),
     )
-    return replace(robot, compensator=law)
+    return replace(robot, compensator=compensator)
 
 
 class StartingRobot(NamedTuple):
@@ -632,7 +635,7 @@ def identify_folder(
     if choices.geometry:
         _require_positions(readings, measurements)
     result = identify(prior, readings, choices.method, choices.structure, progress)
-    result = replace(result, judgement=result.judgement.reserved(pivot_doubt))
+    result = replace(result, judgement=result.judgement.with_reservation(pivot_doubt))
     data = report_data(result)
     data = msgspec.structs.replace(data, assumptions=[*setup.assumptions, *(data.assumptions or ())])
     source = f"identified from {measurements.name}, {choices.method}"
@@ -733,22 +736,22 @@ def _parameter_lines(parameters: Mapping[str, record.Parameter]) -> list[str]:
 
     Undetermined parameters without a prior are not listed; a line counts them.
     """
-    lines, open_count = [], 0
+    lines, undetermined_count = [], 0
     for name, entry in parameters.items():
         if entry.determined is False and entry.prior is None:
-            open_count += 1
+            undetermined_count += 1
             continue
         half = "" if entry.ci95 is None else f" ± {entry.ci95:.3g}"
-        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
+        note = _UNCERTAIN_NOTE if entry.determined is False else ""
         if not entry.observable:
-            mark = "   (prior: not observable)"
+            note = "   (prior: not observable)"
         elif entry.source == record.ABOUT_THE_PRIOR:
-            mark = f"   (about the prior's {entry.prior:.4g})"
-        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{mark}")
-    if open_count:
+            note = f"   (about the prior's {entry.prior:.4g})"
+        lines.append(f"{name:>12} = {entry.value:.5g}{half} {entry.unit}{note}")
+    if undetermined_count:
         lines.append(
-            f"{open_count} more parameters of links and gears are not determined one by one, only what they predict "
-            "together: identification.json"
+            f"{undetermined_count} more parameters of links and gears are not determined one by one, only what they "
+            "predict together: identification.json"
         )
     return [*lines, f"{robots.WITH_LINKS}: the intervals are of that sum"]
 
@@ -757,12 +760,12 @@ def _geometry_lines(geometry: record.Geometry) -> list[str]:
     """Return the geometry parameters, one a line, then the errors of the variants that were tried, and the bound."""
     lines = []
     for name, entry in geometry.parameters.items():
-        mark = _UNCERTAIN_NOTE if entry.determined is False else ""
+        note = _UNCERTAIN_NOTE if entry.determined is False else ""
         if not entry.observable:
-            mark = "   (not narrowed by the readings)"
-        lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{mark}")
+            note = "   (not narrowed by the readings)"
+        lines.append(f"{name:>12} = {entry.value:8.4f} ± {entry.ci95:.3g} {entry.unit}{note}")
     for label, rms in geometry.variants.items():
-        mark = "  <- chosen" if label == geometry.chosen else ""
-        lines.append(f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{mark}")
+        note = "  <- chosen" if label == geometry.chosen else ""
+        lines.append(f"{label}: {rms.rms_mm:.3f} mm RMS, {rms.held_out_rms_mm:.3f} mm on configurations left out{note}")
     lines.append(f"95 % of the errors of the geometry are below {geometry.u95_mm:.3f} mm; that is in the bound")
     return lines

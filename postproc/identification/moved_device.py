@@ -41,9 +41,9 @@ def moved_device(robot: RobotModel, data: Measurements, placement: Placement) ->
     by_frames, by_sag = _frame_derivatives(robot, data, placement), _sag_derivatives(robot, data, placement)
     by_points = unloaded_design(robot, data, placement)[..., 6:]  # the first six are by the root, see by_frames
     design = np.concatenate([by_frames, by_points, by_sag], axis=3) * is_visible[..., None]
-    free = np.full(by_points.shape[3], np.inf)
+    usual_points = np.full(by_points.shape[3], np.inf)  # the points are free
     compliance = np.maximum(robot.compliance[list(robot.actuated)], MIN_COMPLIANCE)
-    usual_sizes = np.concatenate([_USUAL_FRAMES, free, compliance])
+    usual_sizes = np.concatenate([_USUAL_FRAMES, usual_points, compliance])
     step = _clearest_step(design, usual_sizes, placement.residual, data.q)
     # size of the movement in the middle of all readings
     mean_point = np.append(np.mean(placement.points, axis=0), 1.0)

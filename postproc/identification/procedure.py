@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from postproc import robot as robots
 from postproc.frames import MM_PER_M, Array
 from postproc.identification import plausibility
-from postproc.identification.choice import CLEAR, Choice, choose, evidence_of
+from postproc.identification.choice import CLEAR_GAIN, Choice, choose, evidence_of
 from postproc.identification.fit import Fit, to_file_units
 from postproc.identification.joint_springs import (
     Levels,
@@ -136,9 +136,16 @@ def identify(
     if method == "serial":
         return _serial_identification(prior, checked_readings)
     progress("joint springs and compensator")
-    joints, data, placement, names = _located_joints(prior, checked_readings.data, checked_readings.placement)
-    springs = _Springs(joints.fit, None, data, placement, joints.missing, checked_readings.outliers + names)
-    if depth == "auto" and (_is_hidden(joints.fit) or _has_possible_error(joints.fit)):
+    joints, data, placement, names = _fit_joints_and_placement(prior, checked_readings.data, checked_readings.placement)
+    springs = _Springs(
+        fit=joints.fit,
+        choice=None,
+        data=data,
+        placement=placement,
+        unobservable_entries=joints.missing,
+        outliers=checked_readings.outliers + names,
+    )
+    if depth == "auto" and (_would_hide_link_springs(joints.fit) or _has_possible_error(joints.fit)):
         progress(f"{_joint_residual_text(joints.fit)}: trying link springs and gears that are not linear")
         springs = _richer_springs(prior, springs)
     warnings = checked_readings.warnings
@@ -155,7 +162,7 @@ class _Springs(NamedTuple):
     :param fit: of the springs.
     :param choice: structures tried; None: the fit is that of joint springs.
     :param data: readings without gross errors, and their `placement`.
-    :param open_entries: parameters that the readings do not determine.
+    :param unobservable_entries: parameters that the readings do not determine.
     :param outliers: a line for each reading that was left out.
     """
 
@@ -163,7 +170,7 @@ class _Springs(NamedTuple):
     choice: Choice | None
     data: Measurements
     placement: Placement
-    open_entries: list[UnobservableParameter]
+    unobservable_entries: list[UnobservableParameter]
     outliers: list[str]
 
 
@@ -173,15 +180,15 @@ def _richer_springs(prior: RobotModel, joint_springs: _Springs) -> _Springs:
     Joint springs do not suffice if they leave an unexplained error, if noise would hide other springs, or if the
     evidence for other springs is clear.
     """
-    fit, _, data, placement, open_entries, outliers = joint_springs
+    fit, _, data, placement, unobservable_entries, outliers = joint_springs
     data, choice, names = _choose_springs(prior, data, placement)
-    is_insufficient = _has_unexplained_error(fit) or _is_hidden(fit)
+    is_insufficient = _has_unexplained_error(fit) or _would_hide_link_springs(fit)
     if not is_insufficient and not _has_clear_evidence(choice, fit, data, placement):
         return joint_springs
-    if not prior.subtract_reference:  # the pose without load depends on the springs
+    if not prior.subtract_reference:  # a weightless geometry: the pose without load depends on the springs
         placement = locate(choice.fit.robot, data)
-    open_entries = _undetermined_springs(choice, data, open_entries)
-    return _Springs(choice.fit, choice, data, placement, open_entries, outliers + names)
+    unobservable_entries = _undetermined_springs(choice, data, unobservable_entries)
+    return _Springs(choice.fit, choice, data, placement, unobservable_entries, outliers + names)
 
 
 def _enhanced_identification(
@@ -195,7 +202,7 @@ def _enhanced_identification(
     :param doubt: clause on axes and point of the loads; may be empty.
     """
     choice, data, placement, outliers = springs.choice, springs.data, springs.placement, springs.outliers
-    fit = fit_with_prior_values(springs.fit, springs.open_entries) if choice is None else springs.fit
+    fit = fit_with_prior_values(springs.fit, springs.unobservable_entries) if choice is None else springs.fit
     model_error = discrepancy(
         data, placement, fit, left_out_residuals(fit, data) if choice is None else choice.left_out
     )
@@ -203,9 +210,9 @@ def _enhanced_identification(
     fit = add_stated_errors(fit, data, placement, None if choice is None else choice.influence)
     workspace = bound_over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, choice, workspace, displacement_ratio(prior, data, placement))
-    judgement = judgement.reserved(displaced_points(data, placement)).reserved(doubt)
+    judgement = judgement.with_reservation(displaced_points(data, placement)).with_reservation(doubt)
     if choice is not None:
-        judgement = judgement.reserved(doubt_of_levels(choice.fit, data, placement))
+        judgement = judgement.with_reservation(doubt_of_levels(choice.fit, data, placement))
     return Identification(
         method="enhanced",
         prior=prior,
@@ -214,7 +221,7 @@ def _enhanced_identification(
         fit=fit,
         levels=joints.levels,
         spring=joints.spring,
-        missing=tuple(springs.open_entries),
+        missing=tuple(springs.unobservable_entries),
         choice=choice,
         discrepancy=model_error,
         workspace=workspace,
@@ -222,16 +229,16 @@ def _enhanced_identification(
         left_out=tuple(outliers),
         warnings=(
             *warnings,
-            *_spring_warnings(springs.open_entries, outliers),
+            *_spring_warnings(springs.unobservable_entries, outliers),
             *judgement.notes,
             *hysteresis_warnings(prior, data, placement),
         ),
     )
 
 
-def _spring_warnings(open_entries: list[UnobservableParameter], outliers: list[str]) -> list[str]:
+def _spring_warnings(unobservable_entries: list[UnobservableParameter], outliers: list[str]) -> list[str]:
     """Return a warning for each parameter that is not observable, and for each reading that was left out."""
-    return [str(entry) for entry in open_entries] + [f"outlier: {name}" for name in outliers]
+    return [str(entry) for entry in unobservable_entries] + [f"outlier: {name}" for name in outliers]
 
 
 _CHECK_ANGLES = " Check [angles] too: sign, offset_deg and A3_per_J2."
@@ -269,7 +276,7 @@ def check_readings(prior: RobotModel, data: Measurements) -> CheckedReadings:
     return CheckedReadings(data, placement, outliers, warnings + notes, doubt)
 
 
-class _LocatedJoints(NamedTuple):
+class _JointsAndPlacement(NamedTuple):
     """Joint springs, and the readings that they were fitted to.
 
     :param joints: the fit.
@@ -283,21 +290,21 @@ class _LocatedJoints(NamedTuple):
     outliers: list[str]
 
 
-def _located_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _LocatedJoints:
+def _fit_joints_and_placement(prior: RobotModel, data: Measurements, placement: Placement) -> _JointsAndPlacement:
     """Fit joint springs and compensator, and the placement again if the robot sags by its springs without load.
 
     Gross errors are left out if joint springs then explain all other readings.
     """
-    joints = _fitted_joints(prior, data, placement)
-    if not prior.subtract_reference:  # the pose without load depends on the springs
+    joints = _fit_of_joints(prior, data, placement)
+    if not prior.subtract_reference:  # a weightless geometry: the pose without load depends on the springs
         placement = locate(joints.fit.robot, data)
-        joints = _fitted_joints(prior, data, placement)
+        joints = _fit_of_joints(prior, data, placement)
     if _has_unexplained_error(joints.fit):
         clean_data, clean_fit, names = _remove_outliers(prior, data, placement, joints.fit)
         if names and not _has_unexplained_error(clean_fit):
             placement = locate(prior if prior.subtract_reference else clean_fit.robot, clean_data)
-            return _LocatedJoints(_fitted_joints(prior, clean_data, placement), clean_data, placement, names)
-    return _LocatedJoints(joints, data, placement, [])
+            return _JointsAndPlacement(_fit_of_joints(prior, clean_data, placement), clean_data, placement, names)
+    return _JointsAndPlacement(joints, data, placement, [])
 
 
 def _joint_residual_text(fit: Fit) -> str:
@@ -310,15 +317,15 @@ def _joint_residual_text(fit: Fit) -> str:
 
 def _robot_with_bound(fit: Fit, model_error: Discrepancy) -> RobotModel:
     """Return the identified robot with the covariance of its parameters and the unmodelled error, for its bound."""
-    in_file = to_file_units(fit)
-    covariance = robots.Covariance(in_file.parameters, in_file.covariance)
+    file_values = to_file_units(fit)
+    covariance = robots.Covariance(file_values.parameters, file_values.covariance)
     unmodelled = robots.Discrepancy(model_error.load, model_error.u95)
     return replace(fit.robot, covariance=covariance, discrepancy=unmodelled)
 
 
 def _has_clear_evidence(richer: Choice, fit: Fit, data: Measurements, placement: Placement) -> bool:
-    """Return whether the evidence for a richer structure exceeds that for the structure of a fit by `CLEAR`."""
-    return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR
+    """Return whether the log evidence for a richer structure exceeds that of a fit by `CLEAR_GAIN`."""
+    return richer.evidence > evidence_of(fit.structure, fit.values, data, placement) + CLEAR_GAIN
 
 
 class _ChosenSprings(NamedTuple):
@@ -346,15 +353,15 @@ def _choose_springs(prior: RobotModel, data: Measurements, placement: Placement)
 
 
 def _undetermined_springs(
-    choice: Choice, data: Measurements, open_entries: list[UnobservableParameter]
+    choice: Choice, data: Measurements, unobservable_entries: list[UnobservableParameter]
 ) -> list[UnobservableParameter]:
     """Return entries of the springs that the mean of structures does not determine.
 
     These are springs of unloaded joints, and K_c or s₀ of a compensator with the prior's stiffness.
 
-    :param open_entries: entries of the fit of joint springs alone, which have the reasons for unloaded joints.
+    :param unobservable_entries: entries of the fit of joint springs alone, which have the reasons for unloaded joints.
     """
-    fit, entry_by_parameter = choice.fit, {entry.parameter: entry for entry in open_entries}
+    fit, entry_by_parameter = choice.fit, {entry.parameter: entry for entry in unobservable_entries}
     joints = [
         entry_by_parameter.get(joint)
         or UnobservableParameter(joint, "the loads put no torque on it", f"Load {joint.joint} more.")
@@ -384,7 +391,7 @@ class _Joints(Struct, frozen=True, eq=False):
     missing: list[UnobservableParameter]
 
 
-def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
+def _fit_of_joints(prior: RobotModel, data: Measurements, placement: Placement) -> _Joints:
     """Fit joint springs and compensator; start values are from the levels of q2 if these are enough, else the prior's.
 
     :raises MeasurementError: there are fewer readings than unknowns, or they determine none of the compliances.
@@ -394,8 +401,8 @@ def _fitted_joints(prior: RobotModel, data: Measurements, placement: Placement) 
     spring = None
     if levels is not None and prior.compensator is not None:
         spring = compensator_from_levels(levels, prior.compensator)
-    fit, open_entries = fit_joints(prior, data, placement, spring)
-    return _Joints(fit, levels, spring, open_entries)
+    fit, unobservable_entries = fit_joints(prior, data, placement, spring)
+    return _Joints(fit, levels, spring, unobservable_entries)
 
 
 def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Identification:
@@ -406,13 +413,13 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
     """
     data, placement, outliers = checked.data, checked.placement, checked.outliers
     fit = fit_serial(prior, data, placement)
-    open_entries = unobservable_parameters(fit, data, covariance_has_misfit=True)
-    fit = fit_with_prior_values(fit, open_entries)
+    unobservable_entries = unobservable_parameters(fit, data, covariance_has_misfit=True)
+    fit = fit_with_prior_values(fit, unobservable_entries)
     model_error = discrepancy(data, placement, fit, fit.residual)
     fit = add_stated_errors(fit, data, placement, None)
     workspace = bound_over_workspace(_robot_with_bound(fit, model_error), data)
     judgement = judge(data, fit, None, workspace, displacement_ratio(prior, data, placement))
-    judgement = judgement.reserved(displaced_points(data, placement)).reserved(checked.doubt)
+    judgement = judgement.with_reservation(displaced_points(data, placement)).with_reservation(checked.doubt)
     return Identification(
         method="serial",
         prior=prior,
@@ -421,13 +428,13 @@ def _serial_identification(prior: RobotModel, checked: CheckedReadings) -> Ident
         fit=fit,
         levels=None,
         spring=None,
-        missing=tuple(open_entries),
+        missing=tuple(unobservable_entries),
         choice=None,
         discrepancy=model_error,
         workspace=workspace,
         judgement=judgement,
         left_out=tuple(outliers),
-        warnings=(*checked.warnings, *_spring_warnings(open_entries, outliers), *judgement.notes),
+        warnings=(*checked.warnings, *_spring_warnings(unobservable_entries, outliers), *judgement.notes),
     )
 
 
@@ -468,7 +475,7 @@ def _has_possible_error(fit: Fit) -> bool:
     return bool(fit.chi2 > fit.dof + _POSSIBLE_SIGMAS * np.sqrt(2.0 * max(fit.dof, 0)))
 
 
-def _is_hidden(fit: Fit) -> bool:
+def _would_hide_link_springs(fit: Fit) -> bool:
     """Return whether noise would hide the springs of links, so that a good fit of joint springs does not exclude them.
 
     Link springs with the smallest share of the displacements, `_HIDDEN_SHARE`, would add less to χ² than
@@ -501,7 +508,7 @@ def _remove_outliers(prior: RobotModel, data: Measurements, placement: Placement
         if not new_names:
             break
         data, names = clean_data, names + new_names
-        fit = _fitted_joints(prior, data, placement).fit
+        fit = _fit_of_joints(prior, data, placement).fit
         if not _has_unexplained_error(fit):
             break
     return _CleanFit(data, fit, names)

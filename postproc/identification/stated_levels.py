@@ -121,7 +121,7 @@ def _all_parameters(fit: Fit, data: Measurements) -> tuple[Structure, Array]:
     Parameters that are not in the fit have their start values.
     """
     has_free_compensator = CompensatorStiffness() in fit.parameter_values
-    structure, _ = full_structure(fit.structure.prior, data, fit.structure.in_gears, has_free_compensator)
+    structure, _ = full_structure(fit.structure.prior, data, fit.structure.carries_weight, has_free_compensator)
     parameters = tuple(dict.fromkeys((*structure.parameters, *fit.structure.parameters)))
     structure = replace(structure, parameters=parameters)
     values_at_start = dict(zip(parameters, structure.start_values().tolist(), strict=True))
@@ -134,7 +134,7 @@ def _prior_with_factor(prior: Prior) -> Prior:
         prior,
         mean=np.append(prior.mean, 0.0),
         size=np.append(prior.size, _LOG_SIGMA),
-        kind_index=np.append(prior.kind_index, -1),
+        kind_index=np.append(prior.kind_index, -1),  # −1: the size is stated, without a factor
         signed=np.append(prior.signed, True),
     )
 

@@ -213,9 +213,9 @@ def _best_turn(prior: RobotModel, data: Measurements, placement: Placement, stat
     values, best = structure.start_values(), _Turn(np.eye(3), 1.0)
     for _ in range(_ROUNDS):
         design = _force_derivatives(structure, values, data, placement, whitening_matrix)
-        mixture = np.linalg.lstsq(design, target, rcond=None)[0].reshape(3, 3)
-        u, _, vt = np.linalg.svd(mixture)  # the nearest orthogonal matrix (Higham 2008, section 8.1)
-        matrix = u @ vt
+        free_matrix = np.linalg.lstsq(design, target, rcond=None)[0].reshape(3, 3)  # on the forces, with any entries
+        u, _, vt = np.linalg.svd(free_matrix)
+        matrix = u @ vt  # the nearest orthogonal matrix (Higham 2008, section 8.1)
         fit = gauss_newton(structure, _turned_loads(data, matrix), placement)
         values = np.maximum(fit.values, _LEAST_COMPLIANCE)
         if fit.rms / stated_rms < best.ratio:

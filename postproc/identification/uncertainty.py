@@ -89,8 +89,9 @@ LOG_SIGMA = 1.5
 """Standard deviation of the logarithm of δ before any reading (assumed)."""
 _DELTA_COUNT, _DELTA_SPAN = 241, (-5.0, 4.5)
 """Values of δ that are tried, and between which standard deviations of its prior."""
-_LENGTHS = 2000
-"""Lengths between which the 95 % quantile is interpolated (assumed): neighbours differ by a per cent or less."""
+_LENGTH_COUNT = 2000
+"""Number of lengths between which the 95 % quantile is interpolated (assumed): neighbours differ by a per cent or
+less."""
 
 
 class Discrepancy(Struct, frozen=True, eq=False):
@@ -99,18 +100,18 @@ class Discrepancy(Struct, frozen=True, eq=False):
     :param load: (m,) force [N] and moment [N·m] in one.
     :param held_out: (m,) RMS distance of the mean of the points from its prediction [m].
     :param noise: (m,) part of `held_out` that the noise of the readings makes, RMS [m].
-    :param own: (m,) part of `held_out` that the uncertainty of the parameters makes, RMS [m].
-    :param u95: (m,) bound of 95 % on the unmodelled error [m], at least `returned`.
-    :param returned: bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: the
+    :param parameter_error: (m,) part of `held_out` that the uncertainty of the parameters makes, RMS [m].
+    :param u95: (m,) bound of 95 % on the unmodelled error [m], at least `return_bound`.
+    :param return_bound: bound of 95 % on the distance of the unloaded tool from its place after loads [m]; None: the
         readings do not show it.
     """
 
     load: Array
     held_out: Array
     noise: Array
-    own: Array
+    parameter_error: Array
     u95: Array
-    returned: float | None
+    return_bound: float | None
 
 
 def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residual: Array) -> Discrepancy:
@@ -125,27 +126,30 @@ def discrepancy(data: Measurements, placement: Placement, fit: Fit, fold_residua
     displacement = measured_displacements(data, placement)
     load = norm(data.wrench[data.loaded_states])
     level = levels(load)
-    at_level = [
+    rows_by_level = [
         np.flatnonzero((level == index) & is_visible.any(axis=1)) for index in range(int(level.max()) + 1)
-    ]  # rows of the loaded states with readings, for each level
-    at_level = [rows for rows in at_level if len(rows) > 0]
-    medians = [_MEDIAN_SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))) for rows in at_level]
-    returned = _return_bound(data, medians[0])
-    if returned is None:
-        returned = _change_bound(data, medians[0])
+    ]  # of the loaded states with readings
+    rows_by_level = [rows for rows in rows_by_level if len(rows) > 0]
+    # of the standard deviation δ of the unmodelled error before any reading, in proportion to the displacements
+    prior_medians = [
+        _MEDIAN_SHARE * float(np.sqrt(np.mean(displacement[rows][is_visible[rows]] ** 2))) for rows in rows_by_level
+    ]
+    return_bound = _return_bound(data, prior_medians[0])  # of positions; displacements show a change instead
+    if return_bound is None:
+        return_bound = _change_bound(data, prior_medians[0])
     u95 = [
-        max(unmodelled_error(errors.error[rows], errors.covariance[rows], median), returned or 0.0)
-        for rows, median in zip(at_level, medians, strict=True)
+        max(unmodelled_error(errors.error[rows], errors.covariance[rows], median), return_bound or 0.0)
+        for rows, median in zip(rows_by_level, prior_medians, strict=True)
     ]
     mean_squares = (np.sum(errors.error**2, axis=1), errors.noise, errors.fit_variance)
-    fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in at_level] for values in mean_squares])
+    fold_rms, noise_rms, fit_rms = np.sqrt([[values[rows].mean() for rows in rows_by_level] for values in mean_squares])
     return Discrepancy(
-        load=np.array([np.median(load[rows]) for rows in at_level]),
+        load=np.array([np.median(load[rows]) for rows in rows_by_level]),
         held_out=fold_rms,
         noise=noise_rms,
-        own=fit_rms,
+        parameter_error=fit_rms,
         u95=np.maximum.accumulate(u95),  # an error under a load also exists under a larger one
-        returned=returned,
+        return_bound=return_bound,
     )
 
 
@@ -235,16 +239,16 @@ def unmodelled_error(error: Array, covariance: Array, median: float, weight: Arr
 
     variance, axes = np.linalg.eigh(covariance)  # along principal axes the components are independent
     square = np.einsum("nij,ni->nj", axes, error) ** 2
-    z = np.linspace(*_DELTA_SPAN, _DELTA_COUNT)  # standard normal before any reading
+    z = np.linspace(*_DELTA_SPAN, _DELTA_COUNT)  # of log δ, in standard deviations: standard normal before any reading
     # 1e-9 m: δ has a logarithm even if nothing moved
     delta = max(median, 1e-9) * np.exp(LOG_SIGMA * z)
-    whole_variance = variance + delta[:, None, None] ** 2
+    total_variance = variance + delta[:, None, None] ** 2  # for each δ, error and axis
     log_density = (
-        -0.5 * np.sum((np.log(whole_variance) + square / whole_variance).sum(axis=2) * weight, axis=1) - 0.5 * z**2
+        -0.5 * np.sum((np.log(total_variance) + square / total_variance).sum(axis=2) * weight, axis=1) - 0.5 * z**2
     )
     probability = np.exp(log_density - log_density.max())
     probability /= probability.sum()
-    length = np.geomspace(delta[0], 4.0 * delta[-1], _LENGTHS)  # 4 δ: practically no error is longer
+    length = np.geomspace(delta[0], 4.0 * delta[-1], _LENGTH_COUNT)  # 4 δ: practically no error is longer
 
     def share_below(size: float) -> float:
         """Return the share of unmodelled errors shorter than a length [m]: χ² of three degrees of freedom."""
@@ -320,7 +324,7 @@ def add_stated_errors(fit: Fit, data: Measurements, placement: Placement, influe
     :param influence: (p, rows) derivatives of the parameters by the whitened readings; None: those of least squares.
     """
     effects = []  # of one standard deviation of each independent error on the parameters, (p,) each
-    if data.load_error > 0.0:
+    if data.load_error > 0.0:  # relative, 95 %
         share = np.array([_load_sensitivity(parameter) for parameter in fit.structure.parameters])
         effects.append(data.load_error / NORMAL_95 * share * fit.values)
     if data.load_point_error > 0.0:
@@ -386,21 +390,21 @@ class Workspace(Struct, frozen=True):
     """Bound over deflection in the workspace.
 
     :param levels: by load, ascending; empty if the springs have no equilibrium under measured loads.
-    :param least: smallest load measured [N].
+    :param least_load: smallest load measured [N].
     :param cause: joint and parameter with the largest part of the bound, at the worst pose under measured loads; or
         the load without an equilibrium.
     :param pose: (6,) joint angles of this pose [rad].
     """
 
     levels: tuple[WorkspaceLevel, ...]
-    least: float
+    least_load: float
     cause: str
     pose: tuple[float, ...]
 
     @property
     def measured_levels(self) -> tuple[WorkspaceLevel, ...]:
         """Levels from the smallest measured load on; if all are below it, the level of the largest load."""
-        return tuple(level for level in self.levels if level.load >= self.least) or self.levels[-1:]
+        return tuple(level for level in self.levels if level.load >= self.least_load) or self.levels[-1:]
 
     @property
     def worst_level(self) -> WorkspaceLevel:
@@ -450,7 +454,7 @@ class Workspace(Struct, frozen=True):
             f"{self.measured_levels[0].load:.0f} N to {self.levels[-1].load:.0f} N"
         )
         exceeded_levels = [level for level in self.levels if level.bound_ratio > 1.0]
-        if exceeded_levels and exceeded_levels[-1].load < self.least:
+        if exceeded_levels and exceeded_levels[-1].load < self.least_load:
             text += f"; at {exceeded_levels[-1].load:.0f} N and below the bound can exceed the deflection"
         return text
 
@@ -526,9 +530,9 @@ def _random_poses(robot: RobotModel, tool: Array) -> tuple[Array, Array]:
     pose, _ = kinematics.tcp(robot.loaded, elastostatics.coordinates(robot, q), tool)
     position = pose[:, :3, 3]
     reach = norm(position[:, :2])
-    clear = np.flatnonzero((position[:, 2] > 0.0) & (reach > _CLEARANCE_SHARE * reach.max()))[:_POSES]
-    direction = rng.normal(size=(len(clear), 3))
-    return q[clear], direction / norm(direction)[:, None]
+    clear_rows = np.flatnonzero((position[:, 2] > 0.0) & (reach > _CLEARANCE_SHARE * reach.max()))[:_POSES]
+    direction = rng.normal(size=(len(clear_rows), 3))
+    return q[clear_rows], direction / norm(direction)[:, None]
 
 
 def _main_cause(robot: RobotModel, q: Array, tool: Array, wrench: Array, bound: float) -> str:
@@ -627,7 +631,7 @@ class Judgement(Struct, frozen=True):
         usable = "the model may be used, within its bound"
         return f"{usable}{RESERVATION}{self.reservation}" if self.reservation else usable
 
-    def reserved(self, reservation: str) -> Judgement:
+    def with_reservation(self, reservation: str) -> Judgement:
         """Return the judgement with a further reservation, before the others; an empty text changes nothing."""
         return replace(self, reservation="; ".join(filter(None, (reservation, self.reservation))))
 
@@ -668,7 +672,7 @@ def judge(data: Measurements, fit: Fit, choice: Choice | None, workspace: Worksp
         _implausible_scale(fit.structure.prior, ratio),
     ]
     return Judgement(
-        distrust=_distrust_reason(data, fit, choice) or misfit.text_beyond(_USELESS_MISFIT) or workspace.refusal,
+        distrust=_too_few_configurations(data, fit, choice) or misfit.text_beyond(_USELESS_MISFIT) or workspace.refusal,
         reservation="; ".join(filter(None, reservations)),
         notes=_gap_notes(data, fit, choice),
     )
@@ -720,8 +724,8 @@ def _square_error(fit: Fit, choice: Choice | None) -> float:
     return fit.chi2 / max(fit.dof, 1) if choice is None else float(choice.held_out.mean())
 
 
-def _distrust_reason(data: Measurements, fit: Fit, choice: Choice | None) -> str:
-    """Return the reason that readings are too few to estimate a bound; empty if they are enough.
+def _too_few_configurations(data: Measurements, fit: Fit, choice: Choice | None) -> str:
+    """Return a clause if the configurations are too few to estimate a bound; empty if they are enough.
 
     Least squares need spare readings: with fewer they describe the readings and not the robot. Structures with priors
     take as many numbers from the readings as these determine.
@@ -789,7 +793,7 @@ def _gap_notes(data: Measurements, fit: Fit, choice: Choice | None) -> list[str]
                 f"one level of loads ({np.median(load):.0f} N): gears that stiffen or have breakpoints are seen only "
                 "near the cutting force. Measure each configuration under a second load of about that force."
             )
-        notes += _open_parameters(choice)
+        notes += _unidentified_notes(choice)
     notes += _joint_notes(fit, fit if choice is None else choice.fit)
     return notes
 
@@ -810,7 +814,7 @@ def _joint_notes(fit: Fit, posterior_fit: Fit) -> Iterator[str]:
             yield f"looks like {value * MM_PER_M:.3f} mrad of backlash or friction in {parameter.joint}"
 
 
-def _open_parameters(choice: Choice) -> list[str]:
+def _unidentified_notes(choice: Choice) -> list[str]:
     """Return one sentence on the parameters that the readings do not narrow, by kind; empty without such parameters."""
     names_by_kind: dict[str, list[str]] = {}
     for parameter in choice.held_by_prior:

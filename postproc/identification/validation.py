@@ -74,10 +74,10 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     :param measured: RMS of the displacements measured [m].
     :param prediction_error: RMS of their prediction errors [m].
     :param noise: RMS of the noise of the readings in the prediction errors [m].
-    :param doubt: standard error of the mean square prediction error, over the loaded states [m²].
+    :param standard_error: of the mean square prediction error, over the loaded states [m²].
     :param inside: share of the displacements whose error is inside bound and noise; NaN without a bound.
     :param limits: lower and upper limit of this share for all displacements of the robot.
-    :param reach: 95 % quantile of error over bound and noise; NaN without a bound.
+    :param error_ratio: 95 % quantile of error over bound and noise; NaN without a bound.
     :param bound: RMS of the bound [m].
     :param configurations: number of configurations with such a load.
     """
@@ -86,10 +86,10 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     measured: float
     prediction_error: float
     noise: float
-    doubt: float
+    standard_error: float
     inside: float
     limits: tuple[float, float]
-    reach: float
+    error_ratio: float
     bound: float
     configurations: int
 
@@ -106,14 +106,14 @@ class ValidatedLevel(Struct, frozen=True, eq=False):
     @property
     def exceeds_noise(self) -> bool:
         """Whether the prediction errors exceed the noise; else only a lower limit of the factor is known."""
-        return self.prediction_error**2 - self.noise**2 > _STANDARD_ERRORS * self.doubt
+        return self.prediction_error**2 - self.noise**2 > _STANDARD_ERRORS * self.standard_error
 
     @property
     def factor(self) -> float:
         """RMS of displacement over prediction error without noise; a lower limit if noise hides the error."""
         square_excess = self.prediction_error**2 - self.noise**2
         if not self.exceeds_noise:
-            square_excess = max(square_excess, 0.0) + _STANDARD_ERRORS * self.doubt
+            square_excess = max(square_excess, 0.0) + _STANDARD_ERRORS * self.standard_error
         return float(self.measured / np.sqrt(square_excess)) if square_excess > 0.0 else float("inf")
 
 
@@ -163,7 +163,7 @@ class Validation(Struct, frozen=True, eq=False):
                 f"IT IS NOT KNOWN whether the model holds: {share}; {_BOUND_SHARE:.0%} are promised. The readings "
                 "do not contradict it: measure more configurations."
             )
-        widest = max(level.reach for level in refuted_levels)
+        widest = max(level.error_ratio for level in refuted_levels)
         if widest < _NARROW_RATIO:
             advice = (
                 f"The bound is too narrow: use {widest:.1f} times u95, and identify the robot anew from these and "
@@ -215,17 +215,19 @@ def validate(model: Path, measurements: Path, experiment: Path) -> Validation:
     warnings = [f"outlier: {name}" for name in outliers]
     warnings += filter(None, [displaced_points(data, placement)])
     model_data = record.measured_states(folder)
-    fresh = ~_is_known_state(data, model_data.as_array())
-    if not fresh.any():
+    is_new_state = ~_is_known_state(data, model_data.as_array())
+    if not is_new_state.any():
         raise MeasurementError(
-            f"the model was identified from these states ({len(fresh)} of configuration and load): that it agrees with "
-            "them says nothing",
+            f"the model was identified from these states ({len(is_new_state)} of configuration and load): that it "
+            "agrees with them says nothing",
             file=str(measurements),
             advice="Measure some configurations more, and validate with them.",
         )
-    if not fresh.all():
-        warnings.append(f"{np.count_nonzero(~fresh)} of {len(fresh)} loaded states are the model's own: left out")
-    comparison = _compare_displacements(robot, data, placement, fresh)
+    if not is_new_state.all():
+        warnings.append(
+            f"{np.count_nonzero(~is_new_state)} of {len(is_new_state)} loaded states are the model's own: left out"
+        )
+    comparison = _compare_displacements(robot, data, placement, is_new_state)
     return Validation(
         tuple(_validated_levels(comparison)),
         _checked_coverage(joint_torques(robot, data), comparison),
@@ -272,17 +274,19 @@ class _Displacements(Struct, frozen=True, eq=False):
     has_bound: bool
 
 
-def _compare_displacements(robot: RobotModel, data: Measurements, placement: Placement, fresh: Bools) -> _Displacements:
+def _compare_displacements(
+    robot: RobotModel, data: Measurements, placement: Placement, is_new_state: Bools
+) -> _Displacements:
     """Return measured displacements, with the error of their prediction by a robot and its bound.
 
-    :param fresh: (L,) whether the model was not identified from the loaded state. Only visible points of such states
-        are compared.
+    :param is_new_state: (L,) whether the model was not identified from the loaded state. Only visible points of such
+        states are compared.
     """
     displacement = measured_displacements(data, placement)
     prediction, bound = _prediction(robot, data, placement)
     prediction_error, noise = norm(displacement - prediction), displacement_noise(data)
     return _Displacements(
-        is_compared=(visible_points(data)[..., 0] > 0.0) & fresh[:, None],
+        is_compared=(visible_points(data)[..., 0] > 0.0) & is_new_state[:, None],
         config=data.state_config[data.loaded_states],
         load=norm(data.wrench[data.loaded_states]),
         displacement=norm(displacement),
@@ -322,10 +326,10 @@ def _validated_level(comparison: _Displacements, rows: Bools, upper_doubt: float
         measured=_rms(comparison.displacement[rows]),
         prediction_error=_rms(comparison.prediction_error[rows]),
         noise=_rms(np.sqrt(comparison.noise[rows])),
-        doubt=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
+        standard_error=float(np.std(squares, ddof=1) / np.sqrt(len(squares))) if len(squares) > 1 else np.inf,
         inside=float(np.mean(ratio <= 1.0)) if has_bound else float("nan"),
         limits=(lower, upper),
-        reach=float(np.quantile(ratio, _BOUND_SHARE)) if has_bound else float("nan"),
+        error_ratio=float(np.quantile(ratio, _BOUND_SHARE)) if has_bound else float("nan"),
         bound=_rms(comparison.bound[rows]),
         configurations=len(np.unique(comparison.config[states])),
     )
@@ -504,20 +508,20 @@ def coverage(torque: Array, config: Ints, is_refuted: Bools | None = None) -> Co
         not.
     """
     sides = split_signs(torque)
-    acts = sides > LEAST_TORQUE
-    largest = np.where(acts.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
+    has_torque = sides > LEAST_TORQUE  # (L, 6, 2) of a joint and sign
+    largest = np.where(has_torque.any(axis=0), sides.max(axis=0, initial=0.0), 0.0)
     configs, config_row = np.unique(config, return_inverse=True)
-    acts_in_config = np.zeros((len(configs), 6, 2), dtype=bool)
-    np.logical_or.at(acts_in_config, config_row, acts)
+    config_has_torque = np.zeros((len(configs), 6, 2), dtype=bool)
+    np.logical_or.at(config_has_torque, config_row, has_torque)
     smallest_level = np.full(len(configs), np.inf)  # of the loads of each configuration
     np.minimum.at(smallest_level, config_row, _relative_torque(sides, largest))
     # relative size down to which enough configurations were measured, or all if they are fewer
-    needed = min(MIN_CONFIGURATIONS, len(configs))
+    config_count = min(MIN_CONFIGURATIONS, len(configs))
     return Coverage(
         largest=largest,
-        configurations=acts_in_config.sum(axis=0),
+        configurations=config_has_torque.sum(axis=0),
         refuted=np.zeros((6, 2), dtype=bool) if is_refuted is None else is_refuted,
-        least=float(np.sort(smallest_level)[needed - 1]) if needed else np.inf,
+        least=float(np.sort(smallest_level)[config_count - 1]) if config_count else np.inf,
     )
 
 
@@ -580,10 +584,10 @@ class _Faults(NamedTuple):
 def _coverage_faults(torque: Array, torque_range: Coverage) -> _Faults:
     """Return the reasons that torques (T, 6) [N·m] are not covered."""
     sides, is_covered = split_signs(torque), torque_range.is_covered
-    acts = sides > LEAST_TORQUE
+    has_torque = sides > LEAST_TORQUE
     return _Faults(
-        lacks_sign=acts & ~is_covered,
-        exceeds_range=acts & is_covered & (sides > torque_range.largest),
+        lacks_sign=has_torque & ~is_covered,
+        exceeds_range=has_torque & is_covered & (sides > torque_range.largest),
         is_small=_relative_torque(sides, torque_range.largest) < torque_range.least,
     )
 

@@ -143,6 +143,7 @@ class ClosedForm(Struct, frozen=True, eq=False):
         wrist_x, wrist_y, height = wrist
         a, b = self.upper_arm, self.forearm
         with np.errstate(invalid="ignore"):
+            # signed distance from the A1 axis in the plane of the arm: negative behind it
             radius = (1 - 2 * behind_bit) * np.sqrt(wrist_x * wrist_x + wrist_y * wrist_y - self.lateral_offset**2)
             heading = np.arctan2(
                 wrist_y * radius - wrist_x * self.lateral_offset, wrist_x * radius + wrist_y * self.lateral_offset

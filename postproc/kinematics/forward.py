@@ -33,16 +33,16 @@ class _Step(Struct, frozen=True, eq=False):
 
     :param offset: X, Y, Z [m].
     :param tilt: rows: the new Y and Z by the old ones.
-    :param turn: constant added to the joint's angle [rad].
-    :param turns: whether the joint turns; else it slides.
+    :param angle_offset: constant added to the joint's angle [rad].
+    :param is_revolute: whether the joint turns; else it slides.
     :param mass: of the link that the joint carries [kg].
     :param centre: X, Y, Z of its centre of mass in the joint's frame [m].
     """
 
     offset: tuple[float, ...]
     tilt: tuple[tuple[float, ...], ...]
-    turn: float
-    turns: bool
+    angle_offset: float
+    is_revolute: bool
     mass: float
     centre: tuple[float, ...]
 
@@ -53,30 +53,30 @@ class _Steps(NamedTuple):
     :param first_turn: (3, 3, 1) turn about Z of the root before the first step.
     :param joints: the nv joints.
     :param flange: (3, 4, 1) in the frame of the last joint [m].
-    :param turning: rows of the joints that turn.
-    :param turn: (nv, 1) constants added to their angles; the angles of joints that slide [rad].
-    :param fixed: sine and cosine (nv, 1) of these constants.
+    :param revolute_rows: rows of the joints that turn.
+    :param angle_offset: (nv, 1) constants added to their angles; the angles of joints that slide [rad].
+    :param offset_sine_and_cosine: sine and cosine (nv, 1) of these constants.
     """
 
     first_turn: Array
     joints: tuple[_Step, ...]
     flange: Array
-    turning: Ints
-    turn: Array
-    fixed: tuple[Array, Array]
+    revolute_rows: Ints
+    angle_offset: Array
+    offset_sine_and_cosine: tuple[Array, Array]
 
     def sines_and_cosines(self, q: Array) -> Iterator[tuple[Array, Array]]:
         """Yield sine and cosine, (n,) or (1,), of the angle of each joint at coordinates q (nv, n) [rad, m]."""
         computed = {}
         if q.shape[1] <= _FEW:
-            sines, cosines = sine_and_cosine(q[self.turning] + self.turn[self.turning])
-            computed = dict(zip(self.turning.tolist(), zip(sines, cosines, strict=True), strict=True))
-        fixed_sine, fixed_cosine = self.fixed
+            sines, cosines = sine_and_cosine(q[self.revolute_rows] + self.angle_offset[self.revolute_rows])
+            computed = dict(zip(self.revolute_rows.tolist(), zip(sines, cosines, strict=True), strict=True))
+        offset_sine, offset_cosine = self.offset_sine_and_cosine
         for row, step in enumerate(self.joints):
-            if not step.turns:
-                yield fixed_sine[row], fixed_cosine[row]
+            if not step.is_revolute:
+                yield offset_sine[row], offset_cosine[row]
             else:
-                yield computed.get(row) or sine_and_cosine(q[row] + step.turn)
+                yield computed.get(row) or sine_and_cosine(q[row] + step.angle_offset)
 
 
 class Posture(Struct, frozen=True, eq=False):
@@ -112,7 +112,7 @@ class Posture(Struct, frozen=True, eq=False):
         point = self.point
         columns = np.zeros((6, len(self.axis), point.shape[-1]))
         for joint, (axis, origin) in enumerate(zip(self.axis, self.origin, strict=True)):
-            if self.steps[joint].turns:
+            if self.steps[joint].is_revolute:
                 cross(axis, point - origin, out=columns[:3, joint])
                 columns[3:, joint] = axis
             else:
@@ -133,7 +133,7 @@ class Posture(Struct, frozen=True, eq=False):
         for joint in reversed(range(len(torque))):
             if self.steps[joint].mass and link in (None, joint):
                 mass, moment = mass + self.steps[joint].mass, moment + self.moment[joint]
-            if mass and self.steps[joint].turns:
+            if mass and self.steps[joint].is_revolute:
                 (axis_x, axis_y, _), lever = self.axis[joint], moment - mass * self.origin[joint][:2]
                 torque[joint] = GRAVITY * (axis_x * lever[1] - axis_y * lever[0])
             elif mass:
@@ -159,7 +159,7 @@ def posture(chain: Chain, q: Array, tool: Array | None = None, *, weigh: bool = 
         y, z = [combination((y, z), factors) for factors in step.tilt]
         axes.append(z)
         origins.append(origin)
-        if not step.turns:
+        if not step.is_revolute:
             origin = origin + z * coordinate
         frame = [x * cosine + y * sine, y * cosine - x * sine, z]
         if weigh:
@@ -216,21 +216,21 @@ def _steps(chain: Chain) -> _Steps:
         step = _Step(
             offset=tuple(clean(_about_z(-a) @ (parent_axes.T @ chain.placement[joint, :3, 3])).tolist()),
             tilt=tuple(map(tuple, clean(np.array([[cosine, sine], [-sine, cosine]])).tolist())),
-            turn=float(np.arctan2(-tilt_and_turn[0, 1], tilt_and_turn[0, 0])) + next_a,
-            turns=bool(chain.turns[joint]),
+            angle_offset=float(np.arctan2(-tilt_and_turn[0, 1], tilt_and_turn[0, 0])) + next_a,
+            is_revolute=bool(chain.is_revolute[joint]),
             mass=float(chain.mass[joint]),
             centre=tuple(clean(_about_z(-next_a) @ joint_axes.T @ chain.centre[joint]).tolist()),
         )
         steps.insert(0, step)
         next_a = a
-    turn = np.array([[step.turn] for step in steps])
+    angle_offset = np.array([[step.angle_offset] for step in steps])
     return _Steps(
         first_turn=clean(_about_z(next_a))[..., None],
         joints=tuple(steps),
         flange=clean(upright[-1].T @ chain.flange[:3])[..., None],
-        turning=np.flatnonzero(chain.turns),
-        turn=turn,
-        fixed=sine_and_cosine(turn),
+        revolute_rows=np.flatnonzero(chain.is_revolute),
+        angle_offset=angle_offset,
+        offset_sine_and_cosine=sine_and_cosine(angle_offset),
     )
 
 

@@ -85,7 +85,7 @@ def pinocchio_model(chain: Chain) -> Any:
     model = pin.Model()
     model.gravity = pin.Motion(np.array([0.0, 0.0, -GRAVITY]), np.zeros(3))
     for row in range(chain.nv):
-        kind = pin.JointModelRevoluteUnaligned if chain.turns[row] else pin.JointModelPrismaticUnaligned
+        kind = pin.JointModelRevoluteUnaligned if chain.is_revolute[row] else pin.JointModelPrismaticUnaligned
         joint = model.addJoint(row, kind(chain.axis[row]), pin.SE3(chain.placement[row]), f"joint {row}")
         inertia = pin.Inertia(float(chain.mass[row]), chain.centre[row], np.zeros((3, 3)))
         model.appendBodyToJoint(joint, inertia, pin.SE3.Identity())

@@ -86,7 +86,7 @@ def follow(
     :raises UnreachableError: a pose has no solution on its branch.
     """
     ptp_rows, status, turn = np.flatnonzero(is_ptp_target), status.astype(np.int64), turn.astype(np.int64)
-    by_axes = np.isfinite(axis_target[:, 0])
+    has_axis_target = np.isfinite(axis_target[:, 0])
     branches = _path_branches(robot, flange(ptp_rows), start, axis_target, status)
     branch = np.repeat(branches, np.diff(ptp_rows, prepend=0, append=len(is_ptp_target)))
     q = np.zeros((len(branch), 6))
@@ -97,14 +97,14 @@ def follow(
         rows = np.arange(part.start, min(part.stop, len(branch)))
         exact = branch_joints(robot, flange(rows), branch[part])
         targets = slice(*np.searchsorted(ptp_rows, (part.start, part.stop)))  # PTP moves that end in the part
-        target_rows, is_axis_target = ptp_rows[targets] - part.start, by_axes[targets]
+        target_rows, is_axis_target = ptp_rows[targets] - part.start, has_axis_target[targets]
         exact[target_rows[is_axis_target]] = axis_target[targets][is_axis_target]
         unreached += (part.start + np.flatnonzero(any_column(np.isnan(exact)))).tolist()
         has_turn = ~is_axis_target & (turn[targets] >= 0)
         turn_rows = target_rows[has_turn]
         exact[turn_rows] = _whole_turns(robot, exact[turn_rows], turn[targets][has_turn])
         if len(rows) and not unreached:
-            exact_rows = target_rows[is_axis_target | has_turn]  # their turns are those of the target
+            exact_rows = target_rows[is_axis_target | has_turn]  # their whole turns are stated by the target
             q[part], removed_turns = _continuous_angles(exact, start_angles, removed_turns, exact_rows)
             start_angles = exact[-1]
     if unreached:
@@ -125,9 +125,9 @@ def _path_branches(robot: RobotModel, flange: Array, start: Array, axis_target: 
     form = closed_form(robot)
     branch = np.full(len(status) + 1, -1)  # −1: not stated
     branch[0] = form.branch_of(np.asarray(start)[None])[0]
-    by_axes = np.isfinite(axis_target[:, 0])
-    branch[1:][by_axes] = form.branch_of(axis_target[by_axes])
-    pose_targets = np.flatnonzero(~by_axes & (status >= 0))
+    has_axis_target = np.isfinite(axis_target[:, 0])
+    branch[1:][has_axis_target] = form.branch_of(axis_target[has_axis_target])
+    pose_targets = np.flatnonzero(~has_axis_target & (status >= 0))
     candidates = form.branches(flange[pose_targets])  # (n, 8, 6)
     candidate_status = status_of(robot, candidates.reshape(-1, 6)).reshape(-1, 8)
     stated_status = status[pose_targets] & 7  # further bits of S state no branch
@@ -177,13 +177,13 @@ def _whole_turns(robot: RobotModel, angles: Array, turn: Ints) -> Array:
     """
     # joints turn by at most two turns either way
     candidates = angles[..., None] + FULL_TURN * np.arange(-2, 3)
-    within_limits = (candidates >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
+    is_within_limits = (candidates >= robot.lower[:, None] - _ANGLE_TOLERANCE) & (
         candidates <= robot.upper[:, None] + _ANGLE_TOLERANCE
     )
     is_negative = (turn[:, None] >> np.arange(6) & 1).astype(np.bool_)
-    has_sign = within_limits & ((candidates < 0.0) == is_negative[..., None])
+    has_sign = is_within_limits & ((candidates < 0.0) == is_negative[..., None])
     # steps of the penalty are larger than any angle [rad], so that it decides
-    penalty = np.where(has_sign, 0.0, np.where(within_limits, 100.0, 200.0))
+    penalty = np.where(has_sign, 0.0, np.where(is_within_limits, 100.0, 200.0))
     best = np.argmin(np.abs(candidates) + penalty, axis=2)
     return np.asarray(np.take_along_axis(candidates, best[..., None], axis=2)[..., 0])
 
@@ -312,7 +312,7 @@ class ByWrist(Struct, frozen=True, eq=False):
         :raises UnreachableError: the tip cannot be held on its line on one branch; `rows` are motions.
         """
         row = np.searchsorted(self.motion, motion)
-        q, pose = in_chunks(self._solution, row, t)
+        q, pose = in_chunks(self._joints_and_pose, row, t)
         tip_error = largest(pose[:, :3, 3] - self._tip(row, t))
         form = closed_form(self.robot)
         failed_rows = np.flatnonzero(
@@ -329,7 +329,7 @@ class ByWrist(Struct, frozen=True, eq=False):
         """
         return np.asarray(self.tip[row, 0] + t[:, None] * (self.tip[row, 1] - self.tip[row, 0]))
 
-    def _solution(self, row: Ints, t: Array) -> tuple[Array, Array]:
+    def _joints_and_pose(self, row: Ints, t: Array) -> tuple[Array, Array]:
         """Return the joint angles (n, 6) [rad] and the tool poses (n, 4, 4) in the root [m] at places on motions.
 
         A4 to A6 move in proportion to t. A1 to A3 keep the tip on its line: they are found by Newton's method, from the
@@ -344,7 +344,7 @@ class ByWrist(Struct, frozen=True, eq=False):
             tip_error = tip - state.point
             if not (np.abs(tip_error).max(initial=0.0) > 0.1 * _TIP_TOLERANCE):
                 break
-            slope = np.moveaxis(state.jacobian()[:3, :3], -1, 0)
+            slope = np.moveaxis(state.jacobian()[:3, :3], -1, 0)  # (n, 3, 3) of the tip by A1 to A3
             try:
                 q[:3] += np.linalg.solve(slope, tip_error.T[..., None])[..., 0].T
             except np.linalg.LinAlgError:

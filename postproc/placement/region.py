@@ -317,6 +317,8 @@ class Programs:
     ) -> _JointPath:
         """Return the joint angles at stations, and the first reason to refuse one of them.
 
+        Stations are the samples of a program by which a place is judged.
+
         :param base_motion: (4, 4) motion of `$BASE` that the place makes, root axes [m].
         :param e1_shift: (3,) displacement of the robot by E1 at the place [m].
         :param turn: turn of the tool about its axis [rad].
@@ -324,7 +326,8 @@ class Programs:
         """
         flange = product(base_motion, self._flange(group, turn))
         flange[:, :3, 3] -= group.shift + e1_shift
-        branches = np.where(group.branch >= 0, group.branch, branch)
+        states_branch = group.branch >= 0
+        branches = np.where(states_branch, group.branch, branch)
         is_one_branch = bool((branches == branches[0]).all())
         # first the n samples before the stations, then the n stations; one branch for all is solved faster
         q = drive.solve(self.robot, kinematics.components(flange), int(branches[0]) if is_one_branch else branches)
@@ -452,7 +455,7 @@ def _stations(samples: PathSamples, max_count: int) -> _Stations:
     shift = np.zeros((len(pair_rows), 3))
     if carriage is not None:
         shift = carriage.offset(motion[pair_rows], samples.sample.t[pair_rows])
-    branch = np.full(len(pair_rows), -1)
+    branch = np.full(len(pair_rows), -1)  # −1: the branch of the start
     if (m.status >= 0).any():
         try:
             joint_path = samples.robot_in_cell.follow(samples.program, motion, samples.sample.t, samples.sample.pose)

@@ -484,10 +484,10 @@ def chosen_start(program: Program, robot_in_cell: RobotInCell) -> ChosenStart:
     :raises ProgramError: the first target is out of reach, on all branches or with the status that it states.
     """
     m = program.motions
-    if np.isfinite(m.joints[0]).all():
+    if np.isfinite(m.joints[0]).all():  # NaN: the target is a pose
         return _chosen_start(m.joints[0], "whose joint angles it states")
     samples = PathSamples.of(program, robot_in_cell, None)
-    if m.status[0] >= 0:
+    if m.status[0] >= 0:  # −1: not stated
         return _chosen_start(_stated_joints(program, samples), "with the status and turn that it states")
     turn_is_free = robot_in_cell.cell.gcode.redundancy != "constant" and not program.keeps_text
     turns = drive.TRIED_TURNS if turn_is_free else np.zeros(1)
@@ -571,7 +571,7 @@ def _stated_joints(program: Program, samples: PathSamples) -> Array:
 def _samples_on_one_branch(program: Program, samples: PathSamples) -> Ints:
     """Return some samples (n,) from the first target to where the program states joint angles or a status."""
     m = program.motions
-    stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))
+    stated_rows = np.flatnonzero(np.isfinite(m.joints[:, 0]) | (m.status >= 0))  # joints NaN, status −1: not stated
     first = int(np.argmax(samples.sample.t == 1.0))  # samples before are on the way from a start that is not known
     rows = np.flatnonzero(samples.sample.motion < (stated_rows[0] if len(stated_rows) else len(m)))
     rows = rows[rows >= first]

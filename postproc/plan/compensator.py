@@ -72,13 +72,13 @@ def plan_compensator(robot: RobotModel, sigma: float, options: CompensatorOption
     :param sigma: noise of one coordinate of one reading [m].
     :raises PlanError: the robot has no compensator, or its A2 has no room for the angles.
     """
-    law = robot.compensator
-    if law is None:
+    compensator = robot.compensator
+    if compensator is None:
         raise PlanError(
             f"robot {robot.name} has no gravity compensator",
             advice="Give the robot in the experiment a [compensator] in its model.toml, with rough L, a_x, a_y.",
         )
-    lengths = np.array([law.L, law.ax, law.ay])
+    lengths = np.array([compensator.L, compensator.ax, compensator.ay])
     lower = (robot.lower[1] + options.margin) * DEG_PER_RAD
     upper = (robot.upper[1] - options.margin) * DEG_PER_RAD
     # whole degrees; 1e-9: a limit that is whole but for rounding counts

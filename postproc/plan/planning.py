@@ -339,8 +339,8 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param robot: name of the model.
     :param site: place of the measurement.
     :param tests: the test poses.
-    :param represented: relative error of the matrix Σ w A₀ᵀA₀, by which poses count in the criterion, of the test poses
-        against all cutting samples.
+    :param moment_error: relative error of the matrix Σ w A₀ᵀA₀, by which poses count in the criterion: of the test
+        poses, against all cutting samples.
     :param plan: the poses; angles and forces as written to the file.
     :param force: (n, 3) at the load point, root axes [N].
     :param second_load: ratio of the second load to the first, in the same direction; `accuracy` counts the first alone.
@@ -349,7 +349,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     :param accuracy: expected with the plan, together with earlier readings.
     :param unobservable: names of the compliances that neither rig nor earlier readings show: `accuracy` does not count
         their errors.
-    :param before: expected accuracy with the earlier readings alone; None: there are none.
+    :param initial_accuracy: expected with the earlier readings alone; None: there are none.
     :param random: (R,) criterion of random plans [m²]; empty without comparisons.
     :param serial: the semi-intuitive plan of the serial approach; None without comparisons.
     :param sizes: results for other numbers of poses; empty without comparisons.
@@ -365,7 +365,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     robot: str
     site: Site
     tests: TestPoses
-    represented: float
+    moment_error: float
     plan: Plan
     force: Array
     second_load: float
@@ -373,7 +373,7 @@ class PlanResult(Struct, frozen=True, eq=False):
     directions: Directions
     accuracy: Accuracy
     unobservable: tuple[str, ...]
-    before: Accuracy | None
+    initial_accuracy: Accuracy | None
     random: Array
     serial: Plan | None
     sizes: tuple[SizeResult, ...]
@@ -449,7 +449,7 @@ def plan_measurements(
         robot=site.robot.name,
         site=site,
         tests=test_sample,
-        represented=_moment_error(tests, test_sample, robot_compliance),
+        moment_error=_moment_error(tests, test_sample, robot_compliance),
         plan=ordered_plan.plan,
         force=ordered_plan.force,
         second_load=second_load(site, tests),
@@ -459,7 +459,7 @@ def plan_measurements(
         unobservable=tuple(
             c.name for k, c in enumerate(JOINT_COMPLIANCES) if k not in problem.readings.identified_joints
         ),
-        before=initial_accuracy,
+        initial_accuracy=initial_accuracy,
         random=comparison.random,
         serial=comparison.serial,
         sizes=comparison.sizes,
@@ -571,7 +571,7 @@ def _planning_problem(
             count=options.configurations,
             levels=pool.levels,
             directions=demand,
-            fixed=pool.fixed_levels,
+            fixed_count=pool.fixed_levels,
         )
 
     joint2 = _joint2_model(site, tests, earlier_data, with_joint2, options.seed)

@@ -44,6 +44,8 @@ _FULL_SHARE = 0.999
 class Candidates(Struct, frozen=True, eq=False):
     """Feasible poses at L levels of q2, C at each level. Levels with earlier readings may have no poses.
 
+    A level is an angle of joint 2 that several poses share, so that they show the same effect of the compensator.
+
     :param q2: (L,) levels [rad].
     :param q: (L, C, 6) joint angles [rad].
     :param tilt: (L, C, 2) of the load [rad], along its horizontal part, as long as its angle from straight down.
@@ -241,11 +243,11 @@ class Task(Struct, frozen=True, eq=False):
     :param site: with the constraints.
     :param readings: sensitivity of the measurements.
     :param criterion_at: criterion of plans with given levels.
-    :param candidates: poses to choose from; their first `fixed` levels are kept, as they were measured.
+    :param candidates: poses to choose from; their first `fixed_count` levels are kept, as they were measured.
     :param count: number of poses.
     :param levels: number of levels of q2, fixed levels included.
     :param directions: demand on the directions of the joint torques.
-    :param fixed: number of fixed levels.
+    :param fixed_count: number of fixed levels: those with earlier readings.
     """
 
     site: Site
@@ -255,7 +257,7 @@ class Task(Struct, frozen=True, eq=False):
     count: int
     levels: int
     directions: Directions
-    fixed: int = 0
+    fixed_count: int = 0
 
     def loaded_sides(self, q: Array, tilt: Array) -> Bools:
         """Return True for the sides (N, 6, 2), negative and positive of each joint, that poses load enough to count.
@@ -266,7 +268,7 @@ class Task(Struct, frozen=True, eq=False):
 
     def pose_levels(self, rng: np.random.Generator) -> Ints:
         """Return the level (n,) of each pose: at random with fixed levels, else levels with equal numbers of poses."""
-        if self.fixed:
+        if self.fixed_count:
             return rng.integers(0, self.levels, self.count)
         return np.sort(np.arange(self.count) % self.levels)
 
@@ -327,7 +329,7 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
     for _ in range(_EXCHANGE_ROUNDS):
         old_value = best.value
         best = _exchange_poses(task, best)
-        for group in range(task.fixed, task.levels):
+        for group in range(task.fixed_count, task.levels):
             best = _exchange_level(task, best, group)
         if best.value > old_value * (1.0 - _MIN_GAIN):
             break
@@ -343,16 +345,16 @@ def exchange(task: Task, rng: np.random.Generator, spread: bool = False) -> Plan
 
 
 def first_levels(task: Task, rng: np.random.Generator, spread: bool) -> Ints:
-    """Return the levels of q2 to begin with, as indices (m,) among the levels of the candidates.
+    """Return the levels of q2 (angles of joint 2) to begin with, as indices (m,) among the levels of the candidates.
 
     Without fixed levels they may be spread evenly. Else fixed levels come first, then random levels, distant from each
     other as far as possible.
 
     :param spread: spread the levels evenly over the range of q2; ignored with fixed levels.
     """
-    free_rows = np.arange(task.fixed, len(task.candidates))
-    rows = list(range(task.fixed))
-    if spread and task.fixed == 0:
+    free_rows = np.arange(task.fixed_count, len(task.candidates))
+    rows = list(range(task.fixed_count))
+    if spread and task.fixed_count == 0:
         return free_rows[np.round(np.linspace(0, len(free_rows) - 1, task.levels)).astype(np.int64)]
     for candidate in rng.permutation(free_rows):
         if len(rows) < task.levels and _is_distant(task.candidates.q2[rows], task.candidates.q2[candidate]):
@@ -410,7 +412,7 @@ def _exchange_poses(task: Task, choice: _Choice) -> _Choice:
         count = sides[level, pick].sum(axis=0)  # poses of the plan for each direction
         remaining_count = count - sides[level[pose], pick[pose]]
         is_worse = demand.missing_count(remaining_count + sides) > demand.missing_count(count)  # (m, C)
-        if not task.fixed:
+        if not task.fixed_count:
             old, new = information[level[pose], pick[pose]], information[level[pose]]
             matrix = criterion.normal_matrix(information[level, pick], level)
             values = criterion.exchange_values(matrix, old, new, int(level[pose]))
@@ -437,7 +439,7 @@ def _exchange_level(task: Task, choice: _Choice, group: int) -> _Choice:
     """
     candidates, best = task.candidates, choice
     other_rows = np.delete(choice.row, group)
-    for candidate in range(task.fixed, len(candidates)):
+    for candidate in range(task.fixed_count, len(candidates)):
         if candidate in choice.row or not _is_distant(candidates.q2[other_rows], candidates.q2[candidate]):
             continue
         trial = _with_level(task, choice, group, candidate)
@@ -546,7 +548,7 @@ def _move_levels(task: Task, plan: Plan) -> Plan:
 
     Either q2 alone changes, or q3 too, so that the forearm keeps its direction.
     """
-    for group in range(task.fixed, len(plan.q2)):
+    for group in range(task.fixed_count, len(plan.q2)):
         for shift in (*_LEVEL_SHIFTS, *-_LEVEL_SHIFTS):
             better_plan = _with_shifted_level(task, plan, group, float(shift))
             if better_plan is not None:
@@ -672,7 +674,7 @@ def criterion_by_number(task: Task, seed: int, best: Plan) -> Iterator[SizeResul
 
     :param best: best plan with the number of poses of the task, which is not searched again.
     """
-    min_count = 1 if task.fixed else task.levels
+    min_count = 1 if task.fixed_count else task.levels
     for count in sorted({max(min_count, round(factor * task.count)) for factor in SIZE_FACTORS}):
         resized_task = replace(task, count=count)
         value = best.value

@@ -114,10 +114,10 @@ def plan_summary(result: PlanResult) -> dict[str, object]:
         "interrupted": result.interrupted,
         "warnings": list(result.warnings),
     }
-    if result.before is not None:
+    if result.initial_accuracy is not None:
         # infinite if a parameter is unidentifiable from the readings so far; JSON has no infinity
-        is_determined = math.isfinite(result.before.rms)
-        content["measured_so_far"] = {"rms_mm": result.before.rms * MM_PER_M if is_determined else None}
+        is_determined = math.isfinite(result.initial_accuracy.rms)
+        content["measured_so_far"] = {"rms_mm": result.initial_accuracy.rms * MM_PER_M if is_determined else None}
     return content | _comparison_content(result)
 
 
@@ -259,9 +259,9 @@ def _comparison_lines(result: PlanResult) -> Iterator[str]:
     A line is left out if its comparison was not computed.
     """
     plan_mm = _criterion_root_mm(result.plan.value)
-    if result.before is not None:
-        error = f"{result.before.rms * MM_PER_M:.3g} mm RMS"
-        if not math.isfinite(result.before.rms):
+    if result.initial_accuracy is not None:
+        error = f"{result.initial_accuracy.rms * MM_PER_M:.3g} mm RMS"
+        if not math.isfinite(result.initial_accuracy.rms):
             error = "unknown, it does not determine every parameter"
         yield f"with what was measured so far alone: {error}"
     if len(result.random):
@@ -497,7 +497,7 @@ def tests_section(result: PlanResult) -> Section:
         for rank, row in enumerate(order, 1)
     )
     head = ("Test pose", "Share, %", "Force, N", "Deflection, mm", "Expected to remain, mm")
-    note = f"They represent all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.represented:.2g} %)."
+    note = f"They represent all cutting moves (Σ w A₀ᵀA₀ agrees to {100 * result.moment_error:.2g} %)."
     table = Table(head, rows, "Test poses", sortable=True, note=note)
     return Section("tests", "Test poses: where it will be milled", (table,), "half")
 
@@ -590,7 +590,7 @@ def _subtitle(result: PlanResult) -> str:
     """Return robot, number of poses, load and source of the test poses of a plan in one line."""
     levels = len(np.unique(result.plan.level))
     interruption = " · search interrupted: the best plan so far" if result.interrupted else ""
-    addition = " in addition to those measured" if result.before is not None else ""
+    addition = " in addition to those measured" if result.initial_accuracy is not None else ""
     return (
         f"{result.robot} · {len(result.plan)} poses{addition} on {levels} levels of q2 · "
         f"load {result.site.rig.force:.0f} N · test poses from {result.tests.source}{interruption}"

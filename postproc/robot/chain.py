@@ -20,7 +20,7 @@ class Chain(Struct, frozen=True, eq=False):
 
     :param placement: (J, 4, 4) of each joint's frame on the link before it, at coordinate 0.
     :param axis: (J, 3) unit axis of each joint in its own frame.
-    :param turns: (J,) True for a rotation, False for a translation.
+    :param is_revolute: (J,) True for a joint that turns about its axis, False for one that slides along it.
     :param flange: (4, 4) of the flange on the last link.
     :param mass: (J,) of the link that each joint carries.
     :param centre: (J, 3) centre of mass of this link in the frame of the joint.
@@ -32,7 +32,7 @@ class Chain(Struct, frozen=True, eq=False):
 
     placement: Array
     axis: Array
-    turns: NDArray[np.bool_]
+    is_revolute: NDArray[np.bool_]
     flange: Array
     mass: Array
     centre: Array
@@ -82,7 +82,7 @@ class Chain(Struct, frozen=True, eq=False):
         for joint in range(self.nv):
             frame = frames[:, joint] = frame @ self.placement[joint]
             motion = np.broadcast_to(np.eye(4), (len(q), 4, 4)).copy()
-            if self.turns[joint]:
+            if self.is_revolute[joint]:
                 motion[:, :3, :3] = rotations[joint]
             else:
                 motion[:, :3, 3] = vectors[joint]
@@ -95,7 +95,7 @@ class _Axes:
 
     :ivar placement: (4, 4) of the frame of each axis in the frame of the axis before it [m].
     :ivar axis: (3,) unit direction of each axis in its frame.
-    :ivar turns: whether each axis turns; else it slides.
+    :ivar is_revolute: whether each axis turns; else it slides.
     :ivar place: (4, 4) pose of the end of the chain in the frame of the last axis [m].
     """
 
@@ -103,17 +103,17 @@ class _Axes:
         """Begin without axes, at the root."""
         self.placement: list[Array] = []
         self.axis: list[Array] = []
-        self.turns: list[bool] = []
+        self.is_revolute: list[bool] = []
         self.place = np.eye(4)
 
-    def add(self, direction: Array, *, turns: bool) -> int:
+    def add(self, direction: Array, *, is_revolute: bool) -> int:
         """Add an axis of a direction (3,) at the end of the chain, which turns or slides; return its row.
 
         The new axis becomes the last, so that `place` is the identity.
         """
         self.placement.append(self.place)
         self.axis.append(direction)
-        self.turns.append(turns)
+        self.is_revolute.append(is_revolute)
         self.place = np.eye(4)
         return len(self.axis) - 1
 
@@ -144,15 +144,15 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> ElasticChain:
     spring_row: dict[LinkSpring, int] = {}
     joint_row: list[int] = []
     mass_row: list[int] = []  # the last axis before the body of the link
-    for joint, link in enumerate((BASE, *JOINTS), start=-1):  # the link that follows a joint, −1 the base
+    for joint, link in enumerate((BASE, *JOINTS), start=-1):  # the link that a joint carries; joint −1: the base
         link_springs = [spring for spring in springs if spring.link == link]
         if link != BASE:
-            joint_row.append(axes.add(chain.axis[joint], turns=True))
-        spring_row |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if not s.at_end}
+            joint_row.append(axes.add(chain.axis[joint], is_revolute=True))
+        spring_row |= {s: axes.add(s.direction, is_revolute=not s.slides) for s in link_springs if not s.at_end}
         if link != BASE:
             mass_row.append(len(axes.axis) - 1)
         axes.place = axes.place @ (chain.flange if link == JOINTS[-1] else chain.placement[joint + 1])
-        spring_row |= {s: axes.add(s.direction, turns=not s.slides) for s in link_springs if s.at_end}
+        spring_row |= {s: axes.add(s.direction, is_revolute=not s.slides) for s in link_springs if s.at_end}
 
     def over_axes(values: Array, rows: list[int], default: float) -> Array:
         """Return an array over all axes: the values (6, ...) of joints or links at their rows, a default at others."""
@@ -164,7 +164,7 @@ def elastic_chain(chain: Chain, springs: Sequence[LinkSpring]) -> ElasticChain:
         Chain(
             placement=np.array(axes.placement),
             axis=np.array(axes.axis),
-            turns=np.array(axes.turns),
+            is_revolute=np.array(axes.is_revolute),
             flange=axes.place,
             mass=over_axes(chain.mass, mass_row, 0.0),
             centre=over_axes(chain.centre, mass_row, 0.0),

@@ -206,7 +206,7 @@ def _check_spring(name: str, spring: JointSpring, file_name: str) -> None:
     :raises ModelError: fading parts exceed the compliance, a coupling is outside the wrist or stated at the later of
         its joints, or a wave has no angle or is stated twice.
     """
-    if spring.fades > spring.compliance_urad_per_Nm * (1 + _SUM_ROUNDING):
+    if spring.fading_compliance > spring.compliance_urad_per_Nm * (1 + _SUM_ROUNDING):
         raise ModelError(
             f"[joints.{name}]: the sum of the stiffening parts exceeds the compliance",
             file=file_name,
@@ -266,11 +266,11 @@ def _stated_spreads(content: ModelFile, names: Collection[str]) -> dict[Paramete
         spring = content.joints[parameter.joint]
         if spring.sigma_percent is not None and parameter.name not in names:
             spreads[parameter] = spring.sigma_percent / 100.0 * spring.compliance_urad_per_Nm
-    law = content.compensator
-    if law is not None and law.sigma_percent is not None and law.stiffness_N_per_m > 0.0:
+    compensator = content.compensator
+    if compensator is not None and compensator.sigma_percent is not None and compensator.stiffness_N_per_m > 0.0:
         stiffness, preload = parameters.COMPENSATOR
         if stiffness.name not in names and preload.name not in names:
-            spreads[stiffness] = law.sigma_percent / 100.0 * law.stiffness_N_per_m
+            spreads[stiffness] = compensator.sigma_percent / 100.0 * compensator.stiffness_N_per_m
     return spreads
 
 
@@ -396,8 +396,8 @@ def _joint_values(content: ModelFile) -> Iterator[SourcedValue]:
         spring = content.joints[name]
         interval = "" if spring.ci95 is None else f" ± {spring.ci95:.3g}"
         value = f"{spring.compliance_urad_per_Nm:g}{interval} µrad/(N·m){_sigma_text(spring.sigma_percent)}"
-        if spring.fades:
-            value += f", of which {spring.fades:.3g} fade with load"
+        if spring.fading_compliance:
+            value += f", of which {spring.fading_compliance:.3g} fade with load"
         if spring.backlash is not None:
             value += f"; backlash {spring.backlash.angle_urad:.3g} µrad"
         if spring.over_pose:

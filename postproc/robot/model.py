@@ -161,10 +161,11 @@ class GeometryError(Struct, frozen=True, eq=False):
         not determine, such as waves of a gear that did not turn, add the share x of `unmeasured`, at most all of it;
         the largest x of the joints counts.
         """
-        beyond = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)
-        share = beyond / np.maximum(self.upper - self.lower, _SMALLEST_SPAN)
-        extrapolated = self.u95**2 * (1.0 + 6.0 * np.sum(share + share**2, axis=1))
-        return np.asarray(np.sqrt(extrapolated + (self.unmeasured * np.minimum(share.max(axis=1), 1.0)) ** 2))
+        excess = np.maximum(np.maximum(self.lower - q, q - self.upper), 0.0)  # (N, 6) beyond the measured angles
+        share = excess / np.maximum(self.upper - self.lower, _SMALLEST_SPAN)
+        extrapolated_square = self.u95**2 * (1.0 + 6.0 * np.sum(share + share**2, axis=1))
+        unmeasured = self.unmeasured * np.minimum(share.max(axis=1), 1.0)
+        return np.asarray(np.sqrt(extrapolated_square + unmeasured**2))
 
 
 class MeasuredRange(Struct, frozen=True, eq=False):
@@ -261,7 +262,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     :param stiffness: (nv, nv) K⁰_θ of the virtual springs at small torque [N·m/rad, N/m].
     :param actuated: (6,) rows of A1…A6 among the nv coordinates of `actual`.
     :param compensator: spring parallel to A2, or None.
-    :param subtract_reference: True if the geometry describes the robot at rest under its own weight (``"calibrated"``).
+    :param subtract_reference: True if the geometry describes the robot at rest under its own weight (``"calibrated"``),
+        so that the torque at rest deflects nothing; False for the geometry of the weightless robot.
     :param lower: (6,) joint limits [rad].
     :param upper: (6,) joint limits [rad].
     :param speed: (6,) joint speed limits [rad/s].
@@ -388,7 +390,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         return row
 
     def value(self, parameter: Parameter) -> float:
-        """Return the (linear) value of a parameter, SI; zero if the robot has no such spring or compensator.
+        """Return the value of a parameter in which the model is linear, SI; zero without such a spring or compensator.
 
         :raises ModelError: the parameter is of a kind that no robot has.
         """
@@ -416,7 +418,7 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
     @cached_property
     def basis(self) -> str:
-        """Basis of the covariance, in words; empty without covariance."""
+        """Where the covariance comes from, in words; empty without covariance."""
         if self.covariance is None:
             return ""
         if not self.stated_spread:
@@ -470,8 +472,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
         """Whether the actual geometry is the controller's: no calibration, and no errors of transmission."""
         if self.transmission is not None:
             return False
-        plain = elastic_chain(self.nominal, self.link_springs)[0]
-        return bool((plain.placement == self.actual.placement).all() and (plain.flange == self.actual.flange).all())
+        nominal = elastic_chain(self.nominal, self.link_springs).chain  # with the coordinates of `actual`
+        return bool((nominal.placement == self.actual.placement).all() and (nominal.flange == self.actual.flange).all())
 
     @cached_property
     def has_weight(self) -> bool:
@@ -514,16 +516,16 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
 
         :raises ModelError: the robot does not have one of the springs.
         """
-        steady, terms = self.constant_compliance.copy(), dict(self.terms)
+        constant_compliance, terms = self.constant_compliance.copy(), dict(self.terms)
         for parameter, value in values.items():
             if not isinstance(parameter, Spring):
                 continue
             if parameter.linear:
-                steady[self.row(parameter)] = value
+                constant_compliance[self.row(parameter)] = value
             else:
                 terms[parameter] = value
         with np.errstate(divide="ignore"):  # rigid springs: infinite stiffness
-            stiffness = np.diag(1.0 / (steady + self._initial_compliance(terms.items())))
+            stiffness = np.diag(1.0 / (constant_compliance + self._initial_compliance(terms.items())))
         robot = self._with_masses({p: value for p, value in values.items() if isinstance(p, LinkMass)})
         compensator = self._compensator_with(values)
         return replace(robot, stiffness=stiffness, terms=tuple(terms.items()), compensator=compensator)

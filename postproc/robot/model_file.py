@@ -81,7 +81,7 @@ class JointSpring(SourcedEntry, frozen=True, kw_only=True):
     coupling: dict[str, Finite] = {}
 
     @property
-    def fades(self) -> float:
+    def fading_compliance(self) -> float:
         """Part of the compliance at small torque that fades at larger torques [µrad/(N·m)]."""
         return sum(part.compliance_urad_per_Nm for part in (*self.stiffening, *self.knees))
 

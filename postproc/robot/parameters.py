@@ -212,7 +212,7 @@ class JointCompliance(_JointSpring, frozen=True):
         """Yield the compliances of [joints] without the parts that fade [rad/(N·m)]."""
         for joint in JOINTS:
             spring = content.joints[joint]
-            yield cls(joint), (spring.compliance_urad_per_Nm - spring.fades) / PER_URAD
+            yield cls(joint), (spring.compliance_urad_per_Nm - spring.fading_compliance) / PER_URAD
 
     def write(self, tables: dict[str, Any], value: float, half_width: float, source: str) -> None:
         """Put compliance and half width of its 95 % interval [µrad/(N·m)] into [joints.A1] of the tables of a file."""
@@ -235,7 +235,7 @@ class FadingPart(_NonlinearSpring, frozen=True):
     follows any gear whose compliance falls with load; every part stays monotone, so that the spring is always stable.
     """
 
-    mark: ClassVar[str] = "@"
+    separator: ClassVar[str] = "@"
     """Separates joint and torque in names."""
     key: ClassVar[str] = "stiffening"
     """Key of such parts in [joints] of model.toml."""
@@ -243,7 +243,7 @@ class FadingPart(_NonlinearSpring, frozen=True):
     @property
     def name(self) -> str:
         """Name in files, e.g. ``k1@800``."""
-        return f"{JointCompliance(self.joint).name}{self.mark}{self.torque:g}"
+        return f"{JointCompliance(self.joint).name}{self.separator}{self.torque:g}"
 
     @property
     def title(self) -> str:
@@ -252,8 +252,8 @@ class FadingPart(_NonlinearSpring, frozen=True):
 
     @classmethod
     def from_name(cls, name: str) -> Self | None:
-        """Return the part whose name in files is `name`, as ``k6@6.2`` with `mark` in the middle; else None."""
-        compliance_name, _, torque = name.partition(cls.mark)
+        """Return the part whose name in files is `name`, as ``k6@6.2`` with `separator` in the middle; else None."""
+        compliance_name, _, torque = name.partition(cls.separator)
         compliance = JointCompliance.from_name(compliance_name)
         try:
             return None if compliance is None else cls(compliance.joint, float(torque))
@@ -294,7 +294,7 @@ class Knee(FadingPart, frozen=True):
     such parts; beyond the last breakpoint the sum is a straight line.
     """
 
-    mark: ClassVar[str] = "^"
+    separator: ClassVar[str] = "^"
     key: ClassVar[str] = "knees"
 
     @property

@@ -26,7 +26,7 @@ _SIZES = {"box": (("size", 3),), "cylinder": (("radius", 1), ("length", 1)), "sp
 """Attributes of the primitives, with their number of values."""
 _SHORTEST_AXIS = 1e-6
 """A direction shorter than this is none: the specification asks for unit vectors."""
-_QUARTER = 1e-4
+_RIGHT_ANGLE_TOLERANCE = 1e-4
 """In files of others, angles this close to a right angle [rad] are right ones: many are written with four decimals."""
 
 
@@ -64,7 +64,7 @@ def read_any(text: str, file: str) -> AnyArm:
     :raises ModelError: it is no chain of six revolute joints, or a number is missing, no number or not finite.
     """
     try:
-        return _Reader(text, _QUARTER).any_arm()
+        return _Reader(text, _RIGHT_ANGLE_TOLERANCE).any_arm()
     except _RefusedError as cause:
         raise ModelError(cause.problem, file=file, advice=cause.advice) from None
 
@@ -97,7 +97,7 @@ def geometries(text: str, file: str) -> tuple[Geometry, ...]:
     :raises ModelError: the URDF cannot be read, see `read_any`.
     """
     try:
-        return tuple(_Reader(text, _QUARTER).geometries())
+        return tuple(_Reader(text, _RIGHT_ANGLE_TOLERANCE).geometries())
     except _RefusedError as cause:
         raise ModelError(cause.problem, file=file, advice=cause.advice) from None
 
@@ -117,7 +117,7 @@ _NO_TREE = _RefusedError("the links are not one tree", "Each link but the first 
 class _Reader:
     """Reader that walks from link to link and collects the joints and the links that each joint carries.
 
-    :ivar quarter: largest difference from a right angle [rad] that is rounded off.
+    :ivar right_angle_tolerance: largest difference from a right angle [rad] that is rounded off.
     :ivar name: of the robot.
     :ivar links: name → element.
     :ivar child_joints: link → the joints on it.
@@ -127,12 +127,12 @@ class _Reader:
     :ivar frames: see `AnyArm.frames`.
     """
 
-    def __init__(self, text: str, quarter: float) -> None:
+    def __init__(self, text: str, right_angle_tolerance: float) -> None:
         """Read a URDF.
 
         :raises _RefusedError: it is no URDF, its links are not one tree, or its joints are not revolute and in series.
         """
-        self.quarter = quarter
+        self.right_angle_tolerance = right_angle_tolerance
         robot = _root_element(text)
         self.name = robot.get("name", "")
         self.links = {_attribute(link, "name"): link for link in robot.findall("link")}
@@ -214,7 +214,7 @@ class _Reader:
         return Chain(
             placement=np.array(self.placement),
             axis=np.array([_axis(joint) for joint in self.joints]),
-            turns=np.ones(len(self.joints), dtype=np.bool_),
+            is_revolute=np.ones(len(self.joints), dtype=np.bool_),
             flange=flange,
             mass=mass,
             centre=np.divide(moment, mass[:, None], out=np.zeros_like(moment), where=mass[:, None] > 0.0),
@@ -273,7 +273,7 @@ class _Reader:
     def _origin(self, parent: ET.Element) -> Array:
         """Return the pose (4, 4) [m] that the <origin> of an element states; the identity without <origin>.
 
-        Angles within `quarter` of a multiple of a right angle are rounded to it.
+        Angles within `right_angle_tolerance` of a multiple of a right angle are rounded to it.
 
         :raises _RefusedError: a number is missing, no number or not finite.
         """
@@ -281,7 +281,7 @@ class _Reader:
         if origin is not None:
             angles = _numbers(origin, "rpy", 3, "0 0 0")[::-1]  # yaw, pitch, roll
             right_angles = np.round(angles / (np.pi / 2.0)) * (np.pi / 2.0)
-            is_right = np.abs(angles - right_angles) < self.quarter
+            is_right = np.abs(angles - right_angles) < self.right_angle_tolerance
             pose[:3, :3] = rotation_from_angles(np.where(is_right, right_angles, angles))
             pose[:3, 3] = _numbers(origin, "xyz", 3, "0 0 0")
         return pose

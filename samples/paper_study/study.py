@@ -63,13 +63,13 @@ def table_1() -> None:
             found = compensator_geometry.identify(
                 compensator_geometry.read(markers(np.random.default_rng(seed), Path(name)))
             )
-            inside.append(np.abs(found.value * 1e3 - truth) <= found.ci95 * 1e3)
+            inside.append(np.abs(found.lengths * 1e3 - truth) <= found.ci95 * 1e3)
             if seed == 0:
                 first = found
     print("\nTable 1. Compensator geometry [mm]")
     print(f"{'':6}{'truth':>10}{'identified':>12}{'CI':>9}{'covered':>10}   paper")
     for index, label in enumerate(("L", "a_x", "a_y")):
-        value, half = first.value[index] * 1e3, first.ci95[index] * 1e3
+        value, half = first.lengths[index] * 1e3, first.ci95[index] * 1e3
         share = np.mean([row[index] for row in inside])
         paper = f"{PAPER_1[index][0]:.2f} ± {PAPER_1[index][1]:.2f}"
         print(f"{label:6}{truth[index]:10.2f}{value:12.2f}{half:9.2f}{share:9.0%}    {paper}")

@@ -87,7 +87,7 @@ def test_each_target_has_the_errors_of_its_loads_and_what_its_path_leaves(errors
     without_robot, without_forces, gain = [], [], elastostatics.ChanceOfGain()
     for k in range(len(targets)):
         turning = np.zeros((1, 6), dtype=bool)
-        for row, before, joint in zip(reversals.row, reversals.before, reversals.joint, strict=True):
+        for row, before, joint in zip(reversals.row, reversals.previous_row, reversals.joint, strict=True):
             turning[0, joint] |= k in (row, before)
         sources, expected_bound = at(draft, k, turning)
         left = np.zeros(3) if kind == "nominal" else simulation.deviation[k]

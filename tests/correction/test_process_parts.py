@@ -62,7 +62,10 @@ def test_torque_reversals_count_on_cutting_moves_only(monkeypatch):
     np.testing.assert_array_equal(q, 10.0 * row)
     np.testing.assert_array_equal(tool, row + 0.25)
     np.testing.assert_array_equal(wrench, row + 0.75)
-    assert (found.row.tolist(), found.before.tolist()) == ([1, 2, 5], [0, 1, 4])  # motion 3, of target 3, is rapid
+    assert (found.row.tolist(), found.previous_row.tolist()) == (
+        [1, 2, 5],
+        [0, 1, 4],
+    )  # motion 3, of target 3, is rapid
     assert (found.joint.tolist(), found.step.tolist()) == ([3, 0, 5], [0.0, 1.0, 3.0])
 
 

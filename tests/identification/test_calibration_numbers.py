@@ -126,13 +126,13 @@ def test_the_calibration_is_that_of_least_squares_with_a_prior(data, solution):
     scale = np.sqrt(np.diag(normal))
     covariance = inflate * np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
     deviation = np.sqrt(np.diag(covariance))
-    np.testing.assert_allclose(np.sqrt(np.diag(solution.whole_covariance)), deviation, rtol=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(solution.covariance_of_unknowns)), deviation, rtol=1e-3)
     np.testing.assert_allclose(
-        solution.whole_covariance / np.outer(deviation, deviation),
+        solution.covariance_of_unknowns / np.outer(deviation, deviation),
         covariance / np.outer(deviation, deviation),
         atol=1e-3,
     )
-    np.testing.assert_array_equal(solution.covariance, solution.whole_covariance[15:, 15:])
+    np.testing.assert_array_equal(solution.covariance, solution.covariance_of_unknowns[15:, 15:])
     # the gradient of the squares is zero: readings pull as much as the prior
     pull = solution.design[: 12 * 9].T @ white.ravel()
     pull[frames:] -= solution.values / usual**2
@@ -140,7 +140,7 @@ def test_the_calibration_is_that_of_least_squares_with_a_prior(data, solution):
     assert np.sqrt(np.mean(white**2)) == pytest.approx(0.8, abs=0.3)
     placement = solution.placement
     np.testing.assert_allclose(
-        placement.covariance * data.sigma**2 * inflate, solution.whole_covariance[:15, :15], rtol=1e-9
+        placement.covariance * data.sigma**2 * inflate, solution.covariance_of_unknowns[:15, :15], rtol=1e-9
     )
 
 
@@ -172,7 +172,7 @@ def test_the_error_elsewhere_is_that_of_draws_of_base_point_and_joints(solution)
     rng = np.random.default_rng(8)
     found = calibration._extrapolation_error(solution, NOMINAL)
     keep = [*range(9), *range(15, 15 + len(solution.values))]
-    drawn = rng.multivariate_normal(np.zeros(len(keep)), solution.whole_covariance[np.ix_(keep, keep)], 200)
+    drawn = rng.multivariate_normal(np.zeros(len(keep)), solution.covariance_of_unknowns[np.ix_(keep, keep)], 200)
     low, high = np.maximum(NOMINAL.lower, -np.pi), np.minimum(NOMINAL.upper, np.pi)
     names = ("X", "Y", "Z", "RX", "RY", "RZ")
     root, point = solution.placement.root_in_device, solution.placement.points[:1]

@@ -55,13 +55,13 @@ def write(path, q2, raw, names):
 def test_noise_free_readings_give_the_true_geometry_in_any_tracker_frame(markers):
     for seed in range(3):
         exact, _ = readings(sigma=0.0, markers=markers, seed=seed)
-        np.testing.assert_allclose(cg.identify(exact).value, TRUE, atol=1e-9)
+        np.testing.assert_allclose(cg.identify(exact).lengths, TRUE, atol=1e-9)
 
 
 @pytest.mark.parametrize(("markers", "repeats"), [(4, 3), (2, 1)])
 def test_95_percent_intervals_cover_the_truth_in_95_percent_of_120_runs(markers, repeats):
     results = [cg.identify(readings(seed=s, markers=markers, repeats=repeats)[0]) for s in range(120)]
-    inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
+    inside = np.array([np.abs(r.lengths - TRUE) <= r.ci95 for r in results]).mean(axis=0)
     assert np.all((inside > 0.89) & (inside < 0.995)), inside  # 120 runs: ±4 %
     assert np.mean([r.sigma for r in results]) == pytest.approx(0.03e-3, rel=0.05)
 
@@ -78,7 +78,7 @@ def with_errors_of_angles(seed, size=0.1e-3):
 
 def test_intervals_contain_errors_that_the_repeats_share():
     results = [cg.identify(with_errors_of_angles(seed)) for seed in range(120)]
-    inside = np.array([np.abs(r.value - TRUE) <= r.ci95 for r in results]).mean(axis=0)
+    inside = np.array([np.abs(r.lengths - TRUE) <= r.ci95 for r in results]).mean(axis=0)
     assert np.all((inside > 0.89) & (inside < 0.995)), inside  # 120 runs: ±4 %
     # a reading: its own noise and, three times in three repeats, the error of its angle
     assert np.mean([r.sigma for r in results]) == pytest.approx(np.hypot(0.03e-3, np.sqrt(3) * 0.1e-3), rel=0.05)
@@ -98,7 +98,7 @@ def test_a_tracker_that_was_moved_between_the_angles_is_a_warning_with_both_scat
 
 def test_a_single_marker_still_gives_an_estimate_and_says_how_poor_it_is():
     result = cg.identify(readings(markers=1, repeats=1)[0])
-    assert np.all(np.abs(result.value - TRUE) < 2.0 * result.ci95)
+    assert np.all(np.abs(result.lengths - TRUE) < 2.0 * result.ci95)
     assert result.ci95[0] < 0.1e-3 < 2e-3 < result.ci95[1]
 
 
@@ -112,10 +112,10 @@ def test_file_round_trip_writes_values_with_intervals(tmp_path):
     exact, raw = readings()
     path = write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))
     result = cg.identify(cg.read(path))
-    np.testing.assert_allclose(result.value, cg.identify(exact).value, atol=1e-7)
+    np.testing.assert_allclose(result.lengths, cg.identify(exact).lengths, atol=1e-7)
     cg.save(tmp_path / "out.toml", result, "c.csv")
     content = tomllib.loads((tmp_path / "out.toml").read_text())
-    for key, value, ci in zip(("L_mm", "a_x_mm", "a_y_mm"), result.value, result.ci95, strict=True):
+    for key, value, ci in zip(("L_mm", "a_x_mm", "a_y_mm"), result.lengths, result.ci95, strict=True):
         assert content[key]["value"] == pytest.approx(value * 1e3, abs=1e-5)
         assert content[key]["ci95"] == pytest.approx(ci * 1e3, abs=1e-5)
 
@@ -124,7 +124,7 @@ def test_an_outlier_among_repeats_is_left_out_and_named(tmp_path):
     exact, raw = readings()
     raw[2, 3, 1] += [0.0, 3e-3, 0.0]
     result = cg.identify(cg.read(write(tmp_path / "c.csv", PAPER_Q2, raw, ("P1", *exact.markers))))
-    assert np.all(np.abs(result.value - TRUE) < 2.5 * result.ci95)
+    assert np.all(np.abs(result.lengths - TRUE) < 2.5 * result.ci95)
     assert any("P02 at q2 = -90°" in w and "left out" in w for w in result.warnings)
 
 
@@ -200,7 +200,7 @@ def test_a_size_that_the_next_command_would_refuse_is_refused(factor):
     exact, _ = readings(sigma=0.0, true=factor * TRUE)
     with pytest.raises(MeasurementError, match="no robot has such a compensator"):
         cg.identify(exact)
-    assert cg.identify(readings(sigma=0.0, true=0.1 * TRUE)[0]).value[0] == pytest.approx(0.1 * TRUE[0])
+    assert cg.identify(readings(sigma=0.0, true=0.1 * TRUE)[0]).lengths[0] == pytest.approx(0.1 * TRUE[0])
 
 
 def test_the_readings_are_never_overwritten(tmp_path):
@@ -314,7 +314,7 @@ def test_the_result_is_the_same_in_any_tracker_frame():
     turn, shift = Rotation.from_rotvec([0.4, -1.0, 0.7]).as_matrix(), np.array([2.0, -1.0, 0.5])
     moved = msgspec.structs.replace(exact, p1=exact.p1 @ turn.T + shift, p0=exact.p0 @ turn.T + shift)
     one, other = cg.identify(exact), cg.identify(moved)
-    np.testing.assert_allclose(other.value, one.value, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(other.lengths, one.lengths, rtol=0, atol=1e-10)
     np.testing.assert_allclose(other.covariance, one.covariance, rtol=1e-6)
     np.testing.assert_allclose(other.markers.bias, one.markers.bias, rtol=1e-6)
     assert one.markers.bias[0] == 0.0
@@ -340,11 +340,11 @@ def test_everything_in_the_file_is_in_millimetres_and_degrees(tmp_path):
         ("imbalance", markers.imbalance), ("ci95_even_mm", markers.ci95_even * 1e3),
     ):  # fmt: skip
         np.testing.assert_allclose(content["markers"][key], value, rtol=1e-6, err_msg=key)
-    np.testing.assert_allclose(cg.load(tmp_path / "out.toml"), result.value, rtol=1e-9)
+    np.testing.assert_allclose(cg.load(tmp_path / "out.toml"), result.lengths, rtol=1e-9)
     text = "\n".join(cg.text_lines(result))
     assert f"would give {markers.radius.sum() * 1e3:.1f} mm" in text
     assert f"a_x {markers.bias[1] * 1e3:.4f} mm, a_y {markers.bias[2] * 1e3:.4f} mm, contained" in text
-    assert f"   L = {result.value[0] * 1e3:8.3f} ± {result.ci95[0] * 1e3:.3f} mm" in text
+    assert f"   L = {result.lengths[0] * 1e3:8.3f} ± {result.ci95[0] * 1e3:.3f} mm" in text
 
 
 @pytest.mark.parametrize(("span", "refused"), [(9.9, True), (10.1, False)])

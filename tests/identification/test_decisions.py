@@ -57,7 +57,9 @@ def test_a_compensator_that_is_uncertain_by_half_or_cannot_be_built_is_open(stif
     if reason:
         assert entries[0].parameter == CompensatorStiffness()
         assert reason in entries[0].reason
-    assert joint_springs.is_physical(fit_with_spring(FIVE, stiffness, length, half)) == ("no spring" not in reason)
+    assert joint_springs.has_possible_compensator(fit_with_spring(FIVE, stiffness, length, half)) == (
+        "no spring" not in reason
+    )
 
 
 def test_a_compensator_needs_three_levels_and_a_known_second_joint():
@@ -73,7 +75,7 @@ def test_a_compensator_needs_three_levels_and_a_known_second_joint():
 
 
 def test_a_fit_without_a_compensator_is_physical():
-    assert joint_springs.is_physical(fit_of(FIVE))
+    assert joint_springs.has_possible_compensator(fit_of(FIVE))
 
 
 def test_loads_without_a_lever_are_the_reason_before_the_interval_is():
@@ -109,17 +111,17 @@ def test_all_candidates_have_their_kind_and_gears_have_torques_of_their_joint():
     torque = np.max([np.abs(ARM.gradient(lambda x: -500.0 * ARM.tcp(x, LOADED_TIP)[2, 3], q)) for q in data.q], axis=0)
     loaded = [joint for joint in range(6) if torque[joint] >= 0.02 * torque.max()]
     assert 0 not in loaded
-    for in_gears in (False, True):
+    for carries_weight in (False, True):
         for compensator in (False, True):
-            structure, kinds = choice.full_structure(harness.PRIOR, data, in_gears, compensator)
+            structure, kinds = choice.full_structure(harness.PRIOR, data, carries_weight, compensator)
             of_kind = {
                 kind: [p for p, k in zip(structure.parameters, kinds, strict=True) if k == kind] for kind in kinds
             }
             assert of_kind["joint"] == list(JOINT_COMPLIANCES)
-            assert structure.in_gears == in_gears
+            assert structure.carries_weight == carries_weight
             assert of_kind.get("compensator", []) == (list(robot.COMPENSATOR) if compensator else [])
-            assert ("lost motion" in of_kind) == in_gears
-            assert ("at rest" in of_kind) == (in_gears and not compensator)
+            assert ("lost motion" in of_kind) == carries_weight
+            assert ("at rest" in of_kind) == (carries_weight and not compensator)
             for kind, steps in (
                 ("fading", (0.2, 0.6, 2.0)), ("breakpoint", (0.02, 0.04, 0.08, 0.16, 0.32, 0.64, 1.28)),
                 ("backlash", (0.01,)), ("lost motion", (0.01,)),
@@ -178,7 +180,7 @@ def test_richer_structures_are_looked_at_from_one_standard_deviation_of_the_squa
 @pytest.mark.parametrize(("share", "hidden"), [(0.99, True), (1.01, False)])
 def test_links_of_a_sixteenth_of_the_displacements_are_hidden_below_ten_standard_deviations(share, hidden):
     """Links that add 6 % would add .06² of the squares; noise hides less than ten standard deviations of χ²."""
-    assert procedure._is_hidden(chi_of(50, 50.0, share * 100.0 / 0.06**2)) == hidden
+    assert procedure._would_hide_link_springs(chi_of(50, 50.0, share * 100.0 / 0.06**2)) == hidden
 
 
 @pytest.mark.parametrize(("gain", "better"), [(2.9, False), (3.1, True)])
@@ -377,12 +379,12 @@ def test_readings_are_left_out_only_if_the_others_are_then_explained(
         located.append((robot, data))
         return f"placement {len(located)}"
 
-    monkeypatch.setattr(procedure, "_fitted_joints", joints)
+    monkeypatch.setattr(procedure, "_fit_of_joints", joints)
     monkeypatch.setattr(procedure, "locate", locate)
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: not explained[fit.name])
     clean = SimpleNamespace(name="clean", robot="robot of clean")
     monkeypatch.setattr(procedure, "_remove_outliers", lambda *_: ("fewer", clean, names))
-    found, data, placement, left = procedure._located_joints(prior, "all", "placement 0")
+    found, data, placement, left = procedure._fit_joints_and_placement(prior, "all", "placement 0")
     expected = [] if weightless else [("robot of first", "all")]
     if left_out:
         expected.append((prior if weightless else "robot of clean", "fewer"))
@@ -413,7 +415,7 @@ def test_three_of_a_hundred_readings_are_left_out_at_most(readings_count, wrong,
         if data.wrong > 0 else (data, []),
     )  # fmt: skip
     monkeypatch.setattr(
-        procedure, "_fitted_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
+        procedure, "_fit_of_joints", lambda _, data, __: SimpleNamespace(fit=SimpleNamespace(wrong=data.wrong))
     )
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda fit: fit.wrong > 0)
     first = SimpleNamespace(wrong=wrong)
@@ -446,18 +448,18 @@ def test_gears_are_tried_with_and_without_the_weights_where_that_is_another_mode
     prior = SimpleNamespace(subtract_reference=weightless, has_weight=weight, compensator=compensator)
     tried = []
 
-    def weighed(_robot, _data, _placement, in_gears, compensator):
-        tried.append(in_gears)
+    def weighed(_robot, _data, _placement, carries_weight, compensator):
+        tried.append(carries_weight)
         return SimpleNamespace(
-            full_regression=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(in_gears=in_gears)
+            full_regression=SimpleNamespace(evidence=0.0), structure=SimpleNamespace(carries_weight=carries_weight)
         )
 
     monkeypatch.setattr(choice, "_candidate_equations", weighed)
     monkeypatch.setattr(choice, "can_identify_compensator", lambda *_: False)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: settled)
-    monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
+    monkeypatch.setattr(choice, "_add_couplings_and_waves", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(choice, "_choice_of_mean", lambda mean, *_: mean)
-    assert choice.choose(prior, None, None).structure.in_gears is False
+    assert choice.choose(prior, None, None).structure.carries_weight is False
     assert tried == ([False, True] if both else [False])
 
 

@@ -283,7 +283,7 @@ def test_unmodelled_errors_by_level_are_sums_over_configurations():
                 torque = ARM.gradient(lambda x, n=n: wrench[n, :3] @ ARM.tcp(x, LOADED_TIP)[:3, 3], data.q[n])
                 slopes += position * torque / len(points)
             own.append(np.trace(slopes @ fit.covariance @ slopes.T))
-        assert result.own[level] == pytest.approx(np.sqrt(np.mean(own)), rel=0.02)  # linear in the load
+        assert result.parameter_error[level] == pytest.approx(np.sqrt(np.mean(own)), rel=0.02)  # linear in the load
 
 
 def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_more_torque():
@@ -313,7 +313,7 @@ def test_loads_in_the_workspace_are_those_that_were_measured_and_no_joint_gets_m
     loads = [level.load for level in found.levels]
     np.testing.assert_allclose(loads, np.median(size) * np.array([0.05, 0.1, 0.2, 0.5, 1.0]), rtol=1e-6)
     assert np.min(size) < 0.5 * largest
-    assert found.least == pytest.approx(np.linalg.norm(wrench[:, :3], axis=1).min())
+    assert found.least_load == pytest.approx(np.linalg.norm(wrench[:, :3], axis=1).min())
 
 
 def test_frames_and_points_are_found_from_a_guess_with_the_covariance_of_small_errors():

@@ -89,13 +89,13 @@ def twice_loaded(data, parallel):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize(("count", "reserved"), [(4, True), (5, False)])
-def test_fewer_than_five_configurations_are_a_reservation(count, reserved):
+@pytest.mark.parametrize(("count", "with_reservation"), [(4, True), (5, False)])
+def test_fewer_than_five_configurations_are_a_reservation(count, with_reservation):
     data = readings(forces(count, 500.0), count=count)
     verdict = judge(data, fit_of(data), None, FINE, 1.0)
     assert verdict.distrust == ""
-    assert (verdict.reservation == "") != reserved
-    if reserved:
+    assert (verdict.reservation == "") != with_reservation
+    if with_reservation:
         assert verdict.reservation.startswith("4 configurations show little of what the model lacks: measure 5 or more")
         assert verdict.line.startswith("the model may be used, within its bound, with a reservation: 4 conf")
     else:
@@ -210,7 +210,7 @@ def test_the_workspace_counts_loads_that_were_measured():
     assert "can exceed" in replace(space, levels=levels((300.0, 1.1, 1.0), (500.0, 0.9, 1.0))).line
     for narrow in (levels((400.0, 0.9, 1.0), (900.0, 1.2, 1.0)), levels((300.0, 1.0, 1.0), (900.0, 1.0, 1.0))):
         assert "can exceed" not in replace(space, levels=narrow).line
-    beyond = replace(space, least=1000.0)  # no level is that large: the largest counts
+    beyond = replace(space, least_load=1000.0)  # no level is that large: the largest counts
     assert [level.load for level in beyond.measured_levels] == [900.0]
 
 

@@ -185,56 +185,56 @@ def test_gears_that_are_not_linear_need_odds_of_one_in_twenty(gain, nonlinear_to
 def test_richer_models_need_odds_of_one_in_twenty(weights, with_weights, with_spring, expected, monkeypatch):
     tried = []
 
-    def weighed(_robot, _data, _placement, in_gears, compensator):
-        tried.append((in_gears, compensator))
-        evidence = with_spring if compensator else with_weights if in_gears else weights
+    def weighed(_robot, _data, _placement, carries_weight, compensator):
+        tried.append((carries_weight, compensator))
+        evidence = with_spring if compensator else with_weights if carries_weight else weights
         if evidence is None:
             raise PostprocError("no equilibrium")
         return SimpleNamespace(
             full_regression=SimpleNamespace(evidence=evidence),
-            structure=SimpleNamespace(in_gears=in_gears),
+            structure=SimpleNamespace(carries_weight=carries_weight),
             free=compensator,
         )
 
     choices_of(monkeypatch, weighed)
     chosen = choice.choose(harness.PRIOR, None, None)
-    assert (chosen.settled.structure.in_gears, chosen.settled.free) == expected
+    assert (chosen.settled.structure.carries_weight, chosen.settled.free) == expected
     assert tried == [(False, False), (True, False), (expected[0], True)]
 
 
-def choices_of(monkeypatch, weighed, is_open=False, is_physical=True):
+def choices_of(monkeypatch, weighed, is_open=False, has_possible_compensator=True):
     """Let `choose` see the evidence of `weighed` alone."""
     monkeypatch.setattr(choice, "_candidate_equations", weighed)
     monkeypatch.setattr(choice, "can_identify_compensator", lambda *_: True)
     monkeypatch.setattr(choice, "_mean_of_structures", lambda settled, compensator: (settled, compensator))
-    monkeypatch.setattr(choice, "_extend", lambda mean, settled, *_: (mean, settled))
+    monkeypatch.setattr(choice, "_add_couplings_and_waves", lambda mean, settled, *_: (mean, settled))
     monkeypatch.setattr(
         choice, "_choice_of_mean", lambda mean, settled, *_: SimpleNamespace(mean=mean, settled=settled, fit=None)
     )
-    monkeypatch.setattr(choice, "is_physical", lambda _: is_physical)
+    monkeypatch.setattr(choice, "has_possible_compensator", lambda _: has_possible_compensator)
     monkeypatch.setattr(choice, "_has_uncertain_compensator", lambda _: is_open)
 
 
 @pytest.mark.parametrize(
-    ("is_open", "is_physical", "free"), [(False, True, True), (True, True, False), (False, False, False)]
+    ("is_open", "has_possible_compensator", "free"), [(False, True, True), (True, True, False), (False, False, False)]
 )
 def test_a_spring_of_the_compensator_that_is_open_or_cannot_be_built_is_not_taken(
-    is_open, is_physical, free, monkeypatch
+    is_open, has_possible_compensator, free, monkeypatch
 ):
-    def weighed(_robot, _data, _placement, in_gears, compensator):
+    def weighed(_robot, _data, _placement, carries_weight, compensator):
         return SimpleNamespace(
-            full_regression=SimpleNamespace(evidence=50.0 * compensator), structure=SimpleNamespace(in_gears=in_gears),
-            free=compensator,
+            full_regression=SimpleNamespace(evidence=50.0 * compensator), free=compensator,
+            structure=SimpleNamespace(carries_weight=carries_weight),
         )  # fmt: skip
 
-    choices_of(monkeypatch, weighed, is_open, is_physical)
+    choices_of(monkeypatch, weighed, is_open, has_possible_compensator)
     chosen = choice.choose(harness.PRIOR, None, None)
     assert (chosen.settled.free, chosen.mean[1]) == (free, free)
 
 
 def test_readings_that_no_structure_fits_are_refused_and_others_need_only_one_that_does(monkeypatch):
-    def refused(_robot, _data, _placement, in_gears, compensator):
-        raise PostprocError(f"no equilibrium {in_gears} {compensator}")
+    def refused(_robot, _data, _placement, carries_weight, compensator):
+        raise PostprocError(f"no equilibrium {carries_weight} {compensator}")
 
     choices_of(monkeypatch, refused)
     with pytest.raises(PostprocError, match="no equilibrium True False"):
@@ -271,7 +271,7 @@ def test_couplings_and_waves_over_the_pose_need_odds_of_one_in_twenty(settled, g
         mean.structure, ("joint",) * 6 + ("link",) * 3, prior_of(mean.structure), mean.equations,
         mean.members[2].regression,
     )  # fmt: skip
-    wider, extended = choice._extend(mean, solution, data, placement)
+    wider, extended = choice._add_couplings_and_waves(mean, solution, data, placement)
     best = max(mean.members[:2], key=lambda member: member.regression.evidence)
     assert [member.name for member in wider.members[3:]] == [best.name + suffix for suffix in added]
     if not added:

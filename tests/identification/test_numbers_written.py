@@ -66,7 +66,7 @@ def test_states_torques_and_unmodelled_errors_are_those_of_the_readings(result):
     (level,) = written.discrepancy
     (load,) = result.discrepancy.load
     assert load == pytest.approx(np.median(np.linalg.norm(data.wrench[data.load > 0.0], axis=1)))
-    lengths = [1e3 * getattr(result.discrepancy, name)[0] for name in ("held_out", "noise", "own", "u95")]
+    lengths = [1e3 * getattr(result.discrepancy, name)[0] for name in ("held_out", "noise", "parameter_error", "u95")]
     assert list(astuple(level)) == pytest.approx([load, *lengths])
     assert written.sigma_mm == pytest.approx(1e3 * data.sigma)
     assert written.unloaded_rms_mm == pytest.approx(
@@ -78,10 +78,10 @@ def test_states_torques_and_unmodelled_errors_are_those_of_the_readings(result):
 
 
 def test_what_readings_do_not_show_of_gears_is_named_as_assumed(result):
-    shown = replace(result, discrepancy=replace(result.discrepancy, returned=2e-5))
+    shown = replace(result, discrepancy=replace(result.discrepancy, return_bound=2e-5))
     written = model_folder.report_data(shown)
     assert (written.return_u95_mm, written.assumptions) == (pytest.approx(0.02), [])
-    written = model_folder.report_data(replace(result, discrepancy=replace(result.discrepancy, returned=None)))
+    written = model_folder.report_data(replace(result, discrepancy=replace(result.discrepancy, return_bound=None)))
     assert written.return_u95_mm is None
     assert written.assumptions[0].startswith("the gears have no hysteresis: only readings without load before, between")
 
@@ -207,11 +207,11 @@ def test_richer_structures_are_taken_for_their_evidence_or_where_noise_or_a_misf
     def refuse(*_):
         raise TakenError
 
-    monkeypatch.setattr(procedure, "_located_joints", lambda _, data, placement: (
+    monkeypatch.setattr(procedure, "_fit_joints_and_placement", lambda _, data, placement: (
         SimpleNamespace(fit=result.fit, missing=[], levels=None, spring=None), data, placement, []))  # fmt: skip
     monkeypatch.setattr(procedure, "_choose_springs", choose)
     monkeypatch.setattr(procedure, "_has_possible_error", lambda _: worth_a_look)
-    monkeypatch.setattr(procedure, "_is_hidden", lambda _: hidden)
+    monkeypatch.setattr(procedure, "_would_hide_link_springs", lambda _: hidden)
     monkeypatch.setattr(procedure, "_has_unexplained_error", lambda _: unexplained)
     monkeypatch.setattr(procedure, "_has_clear_evidence", lambda *_: better)
     monkeypatch.setattr(procedure, "_undetermined_springs", refuse)

@@ -336,14 +336,14 @@ def test_levels_of_loads_have_the_means_shares_and_limits_of_their_displacements
             np.mean([comparison.prediction_error[n, p] ** 2 for p in range(3) if comparison.is_compared[n, p]])
             for n in states
         ]
-        assert level.doubt == pytest.approx(stats.sem(means))
+        assert level.standard_error == pytest.approx(stats.sem(means))
         assert level.configurations == len({comparison.config[n] for n in states})
         if not has_bound:
-            assert (level.limits, np.isnan(level.inside), np.isnan(level.reach)) == ((0.0, 1.0), True, True)
+            assert (level.limits, np.isnan(level.inside), np.isnan(level.error_ratio)) == ((0.0, 1.0), True, True)
             continue
         ratios = [comparison.error_ratio[cell] for cell in cells]
         assert level.inside == np.mean([ratio <= 1.0 for ratio in ratios])
-        assert level.reach == pytest.approx(np.quantile(ratios, 0.95))
+        assert level.error_ratio == pytest.approx(np.quantile(ratios, 0.95))
         configs = sorted({comparison.config[n] for n, _ in cells})
         counts = [
             [
@@ -377,7 +377,7 @@ def test_the_factor_of_a_level_is_without_noise_or_a_lower_limit(left, above):
     assert level.exceeds_noise == above
     rest = left**2 - 1e-8 if above else max(left**2 - 1e-8, 0.0) + 2e-8
     assert level.factor == pytest.approx(1e-3 / np.sqrt(rest))
-    assert replace(level, prediction_error=1e-4, doubt=0.0).factor == np.inf
+    assert replace(level, prediction_error=1e-4, standard_error=0.0).factor == np.inf
 
 
 @pytest.mark.parametrize("seed", range(8))

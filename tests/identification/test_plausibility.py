@@ -122,7 +122,7 @@ def test_the_reading_that_a_fit_contradicts_is_named_loaded_or_not(experiment, p
 
     data = loaded(experiment, change, "off")
     placement = locate(harness.PRIOR, data)
-    fit = procedure._fitted_joints(harness.PRIOR, data, placement).fit
+    fit = procedure._fit_of_joints(harness.PRIOR, data, placement).fit
     cleaned, told = plausibility.remove_worst_residual(data, placement, fit)
     assert [line.split(" is ")[0].partition(": ")[2] for line in told] == expected
     assert [data.name(int(row)).partition(": ")[2] for row in np.flatnonzero(~cleaned.used)] == expected
@@ -136,7 +136,7 @@ def test_as_many_largest_residuals_as_are_wrong_explain_a_misfit(experiment):
             raw[config, 1, :, point] += 0.2 * OFF * (4.0 - point)
 
     data = loaded(experiment, change, "three")
-    fit = procedure._fitted_joints(harness.PRIOR, data, locate(harness.PRIOR, data)).fit
+    fit = procedure._fit_of_joints(harness.PRIOR, data, locate(harness.PRIOR, data)).fit
     assert [procedure._can_outliers_explain(fit, most) for most in (1, 2, 3, 4)] == [False, False, True, True]
 
 
@@ -211,7 +211,7 @@ def test_forces_in_another_unit_than_newton_are_refused(experiment, factor, unit
 def test_a_fit_without_a_gross_residual_leaves_out_nothing(experiment):
     data = loaded(experiment, lambda raw: None, "clean")
     placement = locate(harness.PRIOR, data)
-    fit = procedure._fitted_joints(harness.PRIOR, data, placement).fit
+    fit = procedure._fit_of_joints(harness.PRIOR, data, placement).fit
     cleaned, lines = plausibility.remove_worst_residual(data, placement, fit)
     assert cleaned is data
     assert lines == []

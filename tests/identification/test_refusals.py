@@ -52,7 +52,7 @@ def test_a_compensator_whose_pivot_is_inside_the_circle_of_its_end_is_refused():
     q2 = np.radians([0.0, -30.0, -60.0, -90.0, -120.0])
     outside, inside = np.array([0.18, 0.6, 0.1]), np.array([0.18, 0.15, 0.05])
     found = compensator_geometry.identify(markers(q2, *mechanism(outside, q2)))
-    np.testing.assert_allclose(found.value, outside, atol=1e-9)
+    np.testing.assert_allclose(found.lengths, outside, atol=1e-9)
     with pytest.raises(MeasurementError, match=r"P0 comes out 158.1 mm from P2, inside the circle of P1 \(180.0 mm\)"):
         compensator_geometry.identify(markers(q2, *mechanism(inside, q2)))
 
@@ -269,7 +269,7 @@ def test_springs_without_equilibrium_are_named_with_pose_and_force(monkeypatch):
     assert found.levels == ()
     np.testing.assert_array_equal(found.pose, q[7])
     assert found.cause == f"the springs have no equilibrium under {asked[0][7]:.0f} N"
-    assert found.least == whole.least
+    assert found.least_load == whole.least_load
     assert found.refusal.startswith("at A1 … A6 = ")
 
 

@@ -47,13 +47,13 @@ def test_return_errors_are_those_of_the_first_repeat_without_an_even_drift(drift
     np.testing.assert_allclose(errors.error, off, atol=5 * np.sqrt(1.5 / 4) * NOISE)  # four points
     assert errors.variance == pytest.approx(1.5 * NOISE**2 / 4, rel=0.4)
     found = bound(data)
-    assert found.returned == pytest.approx(2.795 * 5e-5, rel=0.2)
-    assert found.u95.min() == found.returned  # configurations left out show nothing of it
+    assert found.return_bound == pytest.approx(2.795 * 5e-5, rel=0.2)
+    assert found.u95.min() == found.return_bound  # configurations left out show nothing of it
 
 
 def test_a_robot_that_returns_has_a_bound_of_a_few_micrometres():
     data, _ = three_repeats(40, 0.0, (1e-4, 0.0, 0.0))
-    assert bound(data).returned < 2.0 * NOISE
+    assert bound(data).return_bound < 2.0 * NOISE
 
 
 def test_points_that_were_not_read_in_all_three_repeats_do_not_count():
@@ -69,7 +69,7 @@ def test_points_that_were_not_read_in_all_three_repeats_do_not_count():
 def test_two_repeats_displacements_and_few_configurations_show_no_return_error():
     data, _ = three_repeats(10, 5e-5, (0.0, 0.0, 0.0))
     assert return_errors(readings(forces(10))) is None
-    assert bound(readings(forces(10))).returned is None
+    assert bound(readings(forces(10))).return_bound is None
     assert return_errors(replace(data, are_displacements=True)) is None
     few, _ = three_repeats(3, 5e-5, (0.0, 0.0, 0.0))
     assert return_errors(few) is None

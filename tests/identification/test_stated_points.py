@@ -53,8 +53,8 @@ def test_points_that_the_readings_leave_open_are_not_called_far():
 
 def test_a_reservation_precedes_the_others_and_refuses_nothing():
     judgement = Judgement("", "4 configurations", [])
-    assert judgement.reserved("").line == judgement.line
-    line = judgement.reserved("point P1 is far").line
+    assert judgement.with_reservation("").line == judgement.line
+    line = judgement.with_reservation("point P1 is far").line
     assert line == "the model may be used, within its bound, with a reservation: point P1 is far; 4 configurations"
 
 

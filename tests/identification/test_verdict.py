@@ -12,10 +12,11 @@ from postproc.identification import joint_springs, validation
 from postproc.identification.validation import ValidatedLevel, Validation, coverage, share_limits, table
 
 
-def validated_level(inside, limits, reach=0.9):
+def validated_level(inside, limits, error_ratio=0.9):
     return ValidatedLevel(
-        load=600.0, measured=1e-3, prediction_error=70e-6, noise=70e-6, doubt=1e-10, inside=inside, limits=limits,
-        reach=reach,
+        load=600.0, measured=1e-3, prediction_error=70e-6, noise=70e-6, standard_error=1e-10, inside=inside,
+        limits=limits,
+        error_ratio=error_ratio,
         bound=3e-5, configurations=15,
     )  # fmt: skip
 
@@ -143,12 +144,12 @@ def test_the_numbers_of_each_level_are_those_of_its_states_by_loops(seed):
             assert own == pytest.approx(math.sqrt(mean(getattr(found, name) ** 2))), name
         assert level.noise == pytest.approx(math.sqrt(mean(found.noise)))
         assert level.inside == pytest.approx(mean((found.error_ratio <= 1.0).astype(float)))
-        assert level.reach == pytest.approx(np.quantile([found.error_ratio[place] for place in places], 0.95))
+        assert level.error_ratio == pytest.approx(np.quantile([found.error_ratio[place] for place in places], 0.95))
         squares = [
             np.mean([found.prediction_error[k, p] ** 2 for p in range(2) if found.is_compared[k, p]]) for k in states
         ]
         spread = math.sqrt(sum((one - np.mean(squares)) ** 2 for one in squares) / (len(squares) - 1))
-        assert level.doubt == pytest.approx(spread / math.sqrt(len(squares)))
+        assert level.standard_error == pytest.approx(spread / math.sqrt(len(squares)))
         # a level is kept or not by itself; for refusing, a twentieth of doubt is shared by the levels
         good = [sum(found.is_compared[k, p] and found.error_ratio[k, p] <= 1.0 for p in range(2)) for k in states]
         there = [int(found.is_compared[k].sum()) for k in states]
@@ -162,19 +163,19 @@ def test_a_level_of_one_configuration_and_a_model_without_a_bound_leave_all_open
     (alone,) = validation._validated_levels(
         replace(found, is_compared=found.is_compared & (np.arange(36) == 7)[:, None])
     )
-    assert (alone.doubt, alone.limits) == (np.inf, (0.0, 1.0))
+    assert (alone.standard_error, alone.limits) == (np.inf, (0.0, 1.0))
     for level in validation._validated_levels(replace(found, has_bound=False)):
         assert np.isnan(level.inside)
-        assert np.isnan(level.reach)
+        assert np.isnan(level.error_ratio)
         assert level.limits == (0.0, 1.0)
 
 
 def test_the_table_has_a_line_for_each_level_in_millimetres():
     covered = coverage(np.zeros((0, 6)), np.zeros(0, dtype=np.int64))
     one = ValidatedLevel(
-        load=540.4, measured=1.2344e-3, prediction_error=0.0512e-3, noise=0.0104e-3, doubt=1e-12, inside=0.96,
+        load=540.4, measured=1.2344e-3, prediction_error=0.0512e-3, noise=0.0104e-3, standard_error=1e-12, inside=0.96,
         limits=(0.9, 0.99),
-        reach=0.9, bound=0.0621e-3, configurations=10,
+        error_ratio=0.9, bound=0.0621e-3, configurations=10,
     )  # fmt: skip
     other = replace(one, load=2700.0, inside=float("nan"), limits=(0.0, 1.0), prediction_error=0.0104e-3)
     lines = table(Validation((one, other), covered, (), ())).splitlines()

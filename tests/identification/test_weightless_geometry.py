@@ -68,7 +68,7 @@ def test_derivatives_of_the_prediction_are_those_by_finite_differences(tmp_path,
     data = harness.load(simulator.write(tmp_path, q, f, raw + rng.normal(size=raw.shape)))
     model = robot.load(prior(tmp_path / "prior", reference))
     names = ("k1", "k2", "k3", "k5", "k2@3000", "k5@90.5", "A2.RX", "A3.Y", "A6.end_RZ", "K_c", "s_0")
-    structure = Structure(tuple(parameter_of_name(name) for name in names), model, in_gears=in_gears)
+    structure = Structure(tuple(parameter_of_name(name) for name in names), model, carries_weight=in_gears)
     values = np.array([0.6, 0.2, 0.4, 3.0, 0.1, 0.4, 0.1, 0.02, 0.1, 2e11, 1e11]) * 1e-6
     compare_with_differences(structure, values, data, harness.placed(model, data))
 
@@ -89,7 +89,7 @@ def test_derivatives_by_masses_and_size_of_the_compensator_are_those_by_finite_d
     model = robot.assemble("carries", content, harness.PRIOR.nominal)
     names = ("k2", "k3", "k2@3000", "k3@1500", "A4.lost_motion@900", "A3.Y", "A3.RX", "A2.mass", "A3.mass", "A6.mass")
     structure = Structure(
-        (*(parameter_of_name(name) for name in names), robot.CompensatorSize()), model, in_gears=in_gears
+        (*(parameter_of_name(name) for name in names), robot.CompensatorSize()), model, carries_weight=in_gears
     )
     values = np.array([0.2, 0.3, 0.1, 0.1, 100.0, 0.02, 0.1, 200e6, 210e6, 15e6, 1.3e11]) * 1e-6
     compare_with_differences(structure, values, data, harness.placed(model, data), share=5e-3, within=1e-4)

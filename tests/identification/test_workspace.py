@@ -122,7 +122,7 @@ def test_each_level_has_the_median_and_the_quantile_of_its_poses(data):
     assert smallest.bound_ratio == pytest.approx(np.quantile(ratio, 0.95), rel=0.03)
     loads = np.array([level.load for level in found.levels])
     np.testing.assert_allclose(loads / loads[-1], [0.05, 0.1, 0.2, 0.5, 1.0])
-    assert found.least == pytest.approx(np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1).min())
+    assert found.least_load == pytest.approx(np.linalg.norm(data.wrench[data.load > 0.0, :3], axis=1).min())
     assert "A3" in found.cause
     angles = np.array(found.pose)
     at = int(np.argmin(np.abs(q - angles).sum(axis=1)))

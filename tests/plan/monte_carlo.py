@@ -58,6 +58,6 @@ def errors(folder, result, runs, seed=0, prior=None, true=None):
             failed += 1
             continue
         state = elastostatics.deflect(robot, result.tests.q, tool, result.tests.wrench)
-        left = (state.pose - state.rest)[:, :3, 3] - wanted
+        left = (state.pose - state.unloaded_pose)[:, :3, 3] - wanted
         found.append(np.sqrt(result.tests.weight @ np.sum(left**2, axis=1)))
     return np.array(found), failed

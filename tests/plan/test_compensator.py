@@ -53,7 +53,7 @@ def test_filled_in_templates_are_identified_with_the_promised_intervals_that_hol
         (tmp_path / "filled.csv").write_text(filled_in(template, rng, beta=beta))
         result = cg.identify(cg.read(tmp_path / "filled.csv"))
         widths.append(result.ci95 * 1e3)
-        inside.append(np.abs(result.value - TRUE) <= promised * 1e-3)
+        inside.append(np.abs(result.lengths - TRUE) <= promised * 1e-3)
     np.testing.assert_allclose(np.mean(widths, axis=0), promised, rtol=0.03)
     share = np.mean(inside, axis=0)
     assert np.all(share > 0.86), share  # 60 runs of 0.95: ± 5.6 %

@@ -268,7 +268,7 @@ def measured_so_far(folder, count=6):
 def test_with_measurements_the_plan_says_what_to_measure_next(tmp_path):
     data, q, force = measured_so_far(tmp_path)
     result = setting.quick(tmp_path, data=data, configurations=3, levels=3, test_poses=3)
-    assert result.accuracy.rms < result.before.rms
+    assert result.accuracy.rms < result.initial_accuracy.rms
     levels = np.degrees(np.unique(result.plan.q2))
     assert {-100.0, -40.0} <= set(levels.round(3))
     assert len(levels) == 3
@@ -355,6 +355,6 @@ def test_earlier_readings_inform_the_compliances_that_the_rig_can_show(tmp_path)
     assert problem.earlier_data.information.shape[1:] == (5, 5)
     assert (np.diagonal(problem.earlier_data.information, axis1=1, axis2=2).sum(axis=0) > 0.0).all()
     assert problem.task.candidates.information.shape[2:] == (5, 5)
-    assert problem.task.fixed == 2
+    assert problem.task.fixed_count == 2
     whole = planning._planning_problem(setting.site(tmp_path), setting.job(), setting.ROBOT.compliance, options, data)
     assert whole.earlier_data.information.shape[1:] == (6, 6)

@@ -130,7 +130,7 @@ def test_poses_go_to_the_level_where_they_help_most_if_levels_were_measured(tmp_
     options = planning.Options(configurations=4, levels=3)
     site = setting.site(tmp_path)
     task = planning._planning_problem(site, TWO, setting.ROBOT.compliance, options, data).task
-    assert (task.fixed, task.levels, task.count) == (2, 3, 4)
+    assert (task.fixed_count, task.levels, task.count) == (2, 3, 4)
     rng = np.random.default_rng(5)
     row, level = search.first_levels(task, rng, spread=False), task.pose_levels(rng)
     pick = rng.integers(0, task.candidates.q.shape[1], task.count)

@@ -38,8 +38,9 @@ RESULT = SimpleNamespace(
     options=Options(seed=7), robot="kuka_kr270", site=SimpleNamespace(rig=SimpleNamespace(force=900.0)),
     tests=TestPoses(weight=np.array([0.2, 0.8]), deflection=np.array([3e-3, 1e-3]), source="part.nc",
                     wrench=np.array([[30.0, 40.0, 0.0, 9.0, 9.0, 9.0], [0.0, 0.0, 70.0, 0.0, 0.0, 0.0]])),
-    represented=0.0123, plan=Plan(Q, np.zeros((2, 2)), np.array([0, 1]), Q[:, 1], 4e-10), force=FORCE, second_load=0.25,
-    torque=TORQUE, directions=DIRECTIONS, accuracy=ACCURACY, unobservable=(), before=None, random=np.zeros(0),
+    moment_error=0.0123,
+    plan=Plan(Q, np.zeros((2, 2)), np.array([0, 1]), Q[:, 1], 4e-10), force=FORCE, second_load=0.25,
+    torque=TORQUE, directions=DIRECTIONS, accuracy=ACCURACY, unobservable=(), initial_accuracy=None, random=np.zeros(0),
     serial=None, sizes=(), seconds=12.5, via=(np.zeros((0, 6)), Q[:1] / 2.0), blocked=np.array([], dtype=int),
     compensator_free=False, warnings=("mind the cable",), interrupted=False,
 )  # fmt: skip
@@ -109,7 +110,9 @@ def test_the_summary_has_the_units_of_its_names():
     assert not {"random", "serial_approach", "sizes", "measured_so_far"} & set(content)
     assert plan.plan_summary(changed(options=Options(grouped=True)))["criterion"]["kind"] == "grouped"
     for rms, shown in ((0.5e-3, 0.5), (np.inf, None)):
-        assert plan.plan_summary(changed(before=SimpleNamespace(rms=rms)))["measured_so_far"] == {"rms_mm": shown}
+        assert plan.plan_summary(changed(initial_accuracy=SimpleNamespace(rms=rms)))["measured_so_far"] == {
+            "rms_mm": shown
+        }
 
 
 def test_other_plans_are_compared_by_the_roots_of_their_criteria():
@@ -137,7 +140,7 @@ def test_lines_to_print_say_what_to_expect():
             random=RANDOM,
             serial=SERIAL,
             interrupted=True,
-            before=SimpleNamespace(rms=0.5e-3),
+            initial_accuracy=SimpleNamespace(rms=0.5e-3),
             unobservable=("k1", "k4"),
         )
     )
@@ -148,7 +151,7 @@ def test_lines_to_print_say_what_to_expect():
         "semi-intuitive plan of the serial approach: 0.05 mm (2.50 × the plan's)",
         "interrupted: this is the best plan so far",
     ]
-    unknown = plan.plan_lines(changed(before=SimpleNamespace(rms=np.inf)))
+    unknown = plan.plan_lines(changed(initial_accuracy=SimpleNamespace(rms=np.inf)))
     assert unknown[4] == "with what was measured so far alone: unknown, it does not determine every parameter"
 
 
@@ -224,7 +227,7 @@ def replace_random(size, value):
 def test_the_head_of_the_page_names_load_levels_and_state():
     text = "kuka_kr270 · 2 poses on 2 levels of q2 · load 900 N · test poses from part.nc"
     assert plan._subtitle(RESULT) == text
-    unfinished = changed(interrupted=True, before=SimpleNamespace(rms=1.0))
+    unfinished = changed(interrupted=True, initial_accuracy=SimpleNamespace(rms=1.0))
     assert plan._subtitle(unfinished) == (
         text.replace("poses on", "poses in addition to those measured on")
         + " · search interrupted: the best plan so far"
