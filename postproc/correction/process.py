@@ -458,7 +458,7 @@ def _loads(draft: Draft) -> _TargetLoads:
 
 
 def _reversals(draft: Draft) -> Reversals:
-    """Return where joints change the direction of their torque on cutting moves; `row` and `previous_row` are targets."""
+    """Return where joints change the direction of their torque on cutting moves; its rows are targets."""
     path = draft.path
     reversals = elastostatics.reversals(path.robot_in_cell.robot, *_loads(draft))
     is_cut = ~path.program.motions.rapid[draft.selection.targets.motion[reversals.row]]
