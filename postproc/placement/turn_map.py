@@ -341,7 +341,10 @@ class _Chunk(NamedTuple):
 
 
 def _chunks(samples: PathSamples, blocks: Blocks) -> Iterator[_Chunk]:
-    """Yield the samples of the path in chunks of whole bins, of at most `SAMPLES_AT_ONCE` samples or of one bin."""
+    """Yield the samples of the path in chunks of whole bins, of at most `SAMPLES_AT_ONCE` samples or of one bin.
+
+    A bin is a short stretch of the path, a row of the map.
+    """
     motions, count = samples.program.motions, len(blocks.first)
     pose_rows = np.arange(0, len(samples), max(1, len(samples) // MOST_POSES))
     pose_rows = distinct(np.concatenate([pose_rows, blocks.last, [len(samples) - 1]]))
@@ -662,7 +665,7 @@ class _WristAngles(NamedTuple):
 
 
 class _LineSearch(Struct, frozen=True, eq=False):
-    """The search of a line through a map of K bins and J turns, block by block.
+    """The search of a line through a map of K bins of the path and J turns of the tool, block (of bins) by block.
 
     :param turn_map: the map.
     :param is_forbidden: (K, J) True for cells that are refused.

@@ -280,8 +280,9 @@ def _today_is_as_good(
 
 
 def _is_hit(samples: PathSamples, blocks: Blocks, branch: int, line: Line, bodies: Bodies) -> Bools:
-    """Return True for samples (N,) of a line at which, or before which, bodies come too close, from [start] on.
+    """Return True for samples (N,) at which, or before which, bodies come too close, from [start] on.
 
+    :param line: turns of the tool about its axis along the path.
     :param branch: branch of the inverse kinematics.
     """
     robot_in_cell, motion = samples.robot_in_cell, samples.sample.motion
@@ -355,7 +356,7 @@ def _refine_line(
 
 
 def _sample_turns(samples: PathSamples, blocks: Blocks, knots: Array) -> Array:
-    """Return the turn (N,) [rad] at samples for turns (B,) at the ends of blocks [rad]."""
+    """Return the turn (N,) [rad] at samples for turns (B,) at the ends of blocks, stretches of the path [rad]."""
     ends = blocks.turn_of_motions(samples, knots)
     motion, t = samples.sample.motion, samples.sample.t
     # a joint interpolation does not turn in proportion, but its end, t = 1, is its only sample
@@ -450,7 +451,10 @@ def _closest_bodies(
 
 
 def bin_turns(turn: Turn) -> Array:
-    """Return the chosen turn (K,) at the end of each bin of the map, without `constant` [rad]."""
+    """Return the chosen turn (K,) at the end of each bin of the map, a short stretch of the path [rad].
+
+    The turn that the cell states for the whole program, `constant`, is not in it.
+    """
     blocks = turn.map.blocks
     start_turn = np.append(turn.knots[0], turn.knots[:-1])
     start_turn = np.where(blocks.is_start, turn.knots, start_turn)[blocks.block]
