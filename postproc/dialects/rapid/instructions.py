@@ -19,38 +19,38 @@ from postproc.program import CIRC, LIN, PTP
 class Form(Struct, frozen=True):
     """Arguments of an instruction that moves the robot.
 
-    The order is: targets, speed, further arguments (`before_zone`), zone, tool, further arguments (`behind`).
+    The order is: targets, speed, triggers, zone, tool, further arguments such as a signal and its value.
 
     :ivar kind: `LIN`, `CIRC` or `PTP`.
-    :ivar points: number of targets; of two, the first is the point on the circle.
+    :ivar target_count: number of targets; of two, the first is the point on the circle.
     :ivar takes_joints: True if the target is a jointtarget, not a robtarget.
-    :ivar before_zone: number of arguments between speed and zone.
-    :ivar behind: largest number of arguments behind the tool.
+    :ivar count_before_zone: number of arguments between speed and zone: triggers.
+    :ivar most_behind_tool: largest number of arguments behind the tool.
     """
 
     kind: int
-    points: int = 1
+    target_count: int = 1
     takes_joints: bool = False
-    before_zone: int = 0
-    behind: int = 0
+    count_before_zone: int = 0
+    most_behind_tool: int = 0
 
 
 MOVES: dict[str, Form] = {
     "MOVEL": Form(LIN),
     "MOVEJ": Form(PTP),
-    "MOVEC": Form(CIRC, points=2),
+    "MOVEC": Form(CIRC, target_count=2),
     "MOVEABSJ": Form(PTP, takes_joints=True),
-    "MOVELDO": Form(LIN, behind=2),
-    "MOVEJDO": Form(PTP, behind=2),
-    "MOVECDO": Form(CIRC, points=2, behind=2),
-    "MOVELAO": Form(LIN, behind=2),
-    "MOVELGO": Form(LIN, behind=2),
-    "MOVELSYNC": Form(LIN, behind=1),
-    "MOVEJSYNC": Form(PTP, behind=1),
-    "MOVECSYNC": Form(CIRC, points=2, behind=1),
-    "TRIGGL": Form(LIN, before_zone=1),
-    "TRIGGJ": Form(PTP, before_zone=1),
-    "TRIGGC": Form(CIRC, points=2, before_zone=1),
+    "MOVELDO": Form(LIN, most_behind_tool=2),
+    "MOVEJDO": Form(PTP, most_behind_tool=2),
+    "MOVECDO": Form(CIRC, target_count=2, most_behind_tool=2),
+    "MOVELAO": Form(LIN, most_behind_tool=2),
+    "MOVELGO": Form(LIN, most_behind_tool=2),
+    "MOVELSYNC": Form(LIN, most_behind_tool=1),
+    "MOVEJSYNC": Form(PTP, most_behind_tool=1),
+    "MOVECSYNC": Form(CIRC, target_count=2, most_behind_tool=1),
+    "TRIGGL": Form(LIN, count_before_zone=1),
+    "TRIGGJ": Form(PTP, count_before_zone=1),
+    "TRIGGC": Form(CIRC, target_count=2, count_before_zone=1),
 }
 """Instruction that is followed → its arguments. TriggL, TriggJ and TriggC switch before their end."""
 CONSTANT = {

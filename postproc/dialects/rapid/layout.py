@@ -18,7 +18,7 @@ class Layout(Struct, frozen=True, eq=False):
     :param is_plain: True if nothing was expanded.
     :param moves: (M,) the motions.
     :param notes: force comments of the program, in order.
-    :param declared: names of all data, upper case.
+    :param declared_names: names of all data, upper case.
     """
 
     numbers: Array
@@ -26,7 +26,7 @@ class Layout(Struct, frozen=True, eq=False):
     is_plain: bool
     moves: tuple[Move, ...]
     notes: tuple[Comment, ...]
-    declared: frozenset[str]
+    declared_names: frozenset[str]
 
     def places(self, rows: Ints) -> None:
         """Return None: a module is one file."""

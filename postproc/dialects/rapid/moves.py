@@ -123,13 +123,13 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
             raise UnknownValueError(f"the move {_REFUSED_OPTIONS[name]} (\\{name})")
         if name not in _OPTIONS:
             raise UnknownValueError(f"\\{name} is not followed")
-    min_count = form.points + 3 + form.before_zone  # points, speed, triggers, zone and tool
-    if not min_count <= len(expressions) <= min_count + form.behind:
+    min_count = form.target_count + 3 + form.count_before_zone  # 3: speed, zone and tool
+    if not min_count <= len(expressions) <= min_count + form.most_behind_tool:
         raise UnknownValueError(f"{statement.name} has {len(expressions)} arguments instead of {min_count}")
     *via_points, end_point = (
-        _target(expressions[k], scope, takes_joints=form.takes_joints) for k in range(form.points)
+        _target(expressions[k], scope, takes_joints=form.takes_joints) for k in range(form.target_count)
     )
-    speed_index, zone_index = form.points, form.points + 1 + form.before_zone
+    speed_index, zone_index = form.target_count, form.target_count + 1 + form.count_before_zone
     speed, duration = _speed_and_duration(expressions[speed_index], options, scope, setting)
     wobj = options["WOBJ"].value if "WOBJ" in options else None
     return Move(

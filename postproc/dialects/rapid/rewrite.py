@@ -250,7 +250,8 @@ class _Rewriter:
             add(self._inserted_statement(row, target))
         if k in forces and not self._replace_comment(row, forces[k]):
             add(forces[k])
-        if inserted_rows and MOVES[self.moves[row].statement.name].before_zone:
+        has_triggers = MOVES[self.moves[row].statement.name].count_before_zone > 0
+        if inserted_rows and has_triggers:
             message = (
                 "Targets must be inserted into this move, which switches at a distance from its end: that would not be "
                 "kept right. Use MoveL and SetDO, or raise tolerance_mm so that no targets are needed."
@@ -284,14 +285,15 @@ class _Rewriter:
         form = MOVES[move.statement.name]
         kind = int(self.targets.kind[k])
         positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
-        tail = positional_arguments[form.points :]  # behind the targets: speed, triggers, zone, tool
-        speed, zone, tool = (self._text_of(tail[index]) for index in (0, 1 + form.before_zone, 2 + form.before_zone))
+        tail = positional_arguments[form.target_count :]  # behind the targets: speed, triggers, zone, tool
+        zone_index = 1 + form.count_before_zone
+        speed, zone, tool = (self._text_of(tail[index]) for index in (0, zone_index, zone_index + 1))
         options = {argument.name: self._text_of(argument) for argument in move.statement.arguments if argument.name}
         if (value := self._new_speed(row)) is not None:
             options.pop("T", None)
             options["V"] = f"\\V:={value}"
         # the move stops exactly, but not its inserted targets; if the program declares z0 itself, its zone is not known
-        if move.zone == 0.0 and self.targets.blend[k] > 0.0 and "Z0" not in self.layout.declared:
+        if move.zone == 0.0 and self.targets.blend[k] > 0.0 and "Z0" not in self.layout.declared_names:
             zone = "z0"
             options.pop("INPOS", None)
             options.pop("Z", None)
@@ -336,7 +338,7 @@ class _Rewriter:
                 self.edits.append(Edit(options[name].start, options[name].stop, f"\\V:={value}"))
                 return
         positional_arguments = [argument for argument in move.statement.arguments if not argument.name]
-        speed = positional_arguments[MOVES[move.statement.name].points]
+        speed = positional_arguments[MOVES[move.statement.name].target_count]
         self.edits.append(Edit(speed.stop, speed.stop, f"\\V:={value}"))
 
     # --- the end of a move
