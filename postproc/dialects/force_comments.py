@@ -71,6 +71,7 @@ def columns(comment: bytes, forces: TargetForces, rows: Ints, is_needed: Bools) 
         text_in_rows(comment + b"FORCE OFF", is_needed & ~has_load),
         text_in_rows(comment + b"FORCE", has_load),
     ]
+    # three forces, then three moments
     for name, values, decimal_places, is_given in zip(
         _NAMES, wrench.T, _DECIMALS.tolist(), (has_load,) * 3 + (has_moment,) * 3, strict=True
     ):

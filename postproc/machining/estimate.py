@@ -360,7 +360,7 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
     ordered_setups = divide_by_cells(setups(program, task.directions, max_tilt), cell_factors, task.directions.cuts)
     frame, cell = ordered_setups[0].frame, process.stock.cell
     material, stock_issues = stock_map(process, frame, cell / ordered_setups[0].factor, task.stock)
-    bounds = (*material.material_bounds, material.top)
+    bounds = (*material.material_bounds, material.top)  # x, y and top of the uncut stock
     segments = task.segments(frame, cell)
     _check_spindle_speed(program, segments, task.tools)
     swept_setups = _swept_setups(task, ordered_setups, material, segments)
@@ -373,7 +373,14 @@ def _swept_program(task: _Task, max_tilt: float, cell_factors: dict[int, int]) -
         check_branches(program, _engaged_motions(swept_setups.cuts), is_near)
     _refuse_stopped_spindle(program, swept_setups.stopped_motions)
     passes = thin_passes(program, task.tools, swept_setups.cell_error_sums)
-    return _SweptProgram(ordered_setups, segments, bounds, stock_issues, swept_setups, passes)
+    return _SweptProgram(
+        setups=ordered_setups,
+        segments=segments,
+        bounds=bounds,
+        stock_issues=stock_issues,
+        swept_setups=swept_setups,
+        thin_passes=passes,
+    )
 
 
 def _engaged_motions(cuts: Cuts) -> Ints:
@@ -538,9 +545,8 @@ def _progress_of_part(
 def _needed_stations(sweep: Sweep, segments: StraightSegments, progress: Callable[[int], None] | None) -> Cuts:
     """Sweep segments, and return the stations that their forces need, thinned out batch by batch to limit memory.
 
-    A station is a place of the tool on a cutting motion for which its force is computed.
-
-    The last motion of a batch may continue in the next one: its stations are thinned with those of the next batch.
+    A station is a place of the tool on a cutting motion for which its force is computed. The last motion of a batch may
+    continue in the next one: its stations are thinned with those of the next batch.
 
     :param progress: called with the number of segments done.
     """

@@ -405,7 +405,14 @@ def _linear_equations(readings: CutReadings, tool: ToolTable, file: str) -> _Equ
     watt_per_newton = power_size / np.maximum(force_size, 1e-12)
     sigma = np.where(component == 3, sigma * watt_per_newton[reading], sigma)
     predictor, readout = derivatives[reading, component], values[reading, component]
-    return _Equations(predictor, readout, sigma, reading, component, bool(has_sigma.all()))
+    return _Equations(
+        predictor=predictor,
+        readout=readout,
+        sigma=sigma,
+        reading=reading,
+        component=component,
+        has_sigma=bool(has_sigma.all()),
+    )
 
 
 def _scaled_spread(spread: Array, error: Array, system: _Equations, degrees_of_freedom: int) -> tuple[Array, list[str]]:

@@ -409,4 +409,14 @@ def _copied_part(stock: Stock, low: Array, high: Array) -> Stock:
     window = slice(int(first_cell[1]), int(end_cell[1])), slice(int(first_cell[0]), int(end_cell[0]))
     upper, lower, share, floor = (values[window].copy() for values in (stock.high, stock.low, stock.share, stock.floor))
     x, y = origin + first_cell * stock.cell
-    return Stock(float(x), float(y), stock.cell, upper, lower, share, stock.slope[window].copy(), floor, stock.ground)
+    return Stock(
+        x=float(x),
+        y=float(y),
+        cell=stock.cell,
+        high=upper,
+        low=lower,
+        share=share,
+        slope=stock.slope[window].copy(),
+        floor=floor,
+        ground=stock.ground,
+    )

@@ -134,7 +134,17 @@ def refine(stock: Stock, factor: int) -> Stock:
             stock.high, rise, has_slope[..., 0], offset[row], offset[column]
         )
     low, share, floor = (divided(values) for values in (stock.low, stock.share, stock.floor))
-    return Stock(stock.x, stock.y, stock.cell / factor, high, low, share, divided(slope), floor, stock.ground)
+    return Stock(
+        x=stock.x,
+        y=stock.y,
+        cell=stock.cell / factor,
+        high=high,
+        low=low,
+        share=share,
+        slope=divided(slope),
+        floor=floor,
+        ground=stock.ground,
+    )
 
 
 def _surface_at(high: Floats, rise: Floats, has_slope: Bools, y_shift: float, x_shift: float) -> Floats:
@@ -257,7 +267,17 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
     ground = float(lower[2]) + 1e-6  # above `floor`, whose values are rounded to single precision
-    return Stock(x, y, cell, high, floor.copy(), share, zero_slopes(high), floor, ground)
+    return Stock(
+        x=x,
+        y=y,
+        cell=cell,
+        high=high,
+        low=floor.copy(),
+        share=share,
+        slope=zero_slopes(high),
+        floor=floor,
+        ground=ground,
+    )
 
 
 def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str = "stock") -> Stock:
@@ -296,13 +316,13 @@ def from_mesh(vertices: Array, faces: NDArray[np.int64], cell: float, file: str 
         high[map_rows], floor[map_rows] = np.where(count > 0, mean, np.nan), np.where(count > 0, mean_floor, np.nan)
         share[map_rows] = np.where(count > 0, 1.0 - count / _SUBDIVISION**2, 0.0)
         slope[map_rows] = _mean_slopes(np.where(is_solid, upper, np.nan).reshape(blocks), cell / _SUBDIVISION)
-    is_empty = np.isnan(high)
+    is_empty = np.isnan(high)  # cells beside the mesh
     lowest_floor = float(np.nanmin(floor)) if not is_empty.all() else 0.0
     high[is_empty] = floor[is_empty] = lowest_floor  # no thickness
     low[:] = np.where(wall_share > 0.0, wall_low, floor)
     share = np.where(wall_share > 0.0, wall_share, share)
-    ground = float(floor.max()) + 1e-6
-    return Stock(x, y, cell, high, low, share, slope, floor, ground)
+    ground = float(floor.max()) + 1e-6  # above `floor`, whose values are rounded to single precision
+    return Stock(x=x, y=y, cell=cell, high=high, low=low, share=share, slope=slope, floor=floor, ground=ground)
 
 
 def _mean_slopes(upper: Array, step: float) -> NDArray[np.int16]:

@@ -300,8 +300,8 @@ class Sweep(Struct, eq=False):
     def _joins_previous(self, segments: StraightSegments, may_touch: Bools) -> Bools:
         """Return True for segments (L,) that are of one kind with the segment before, so that a group may have both.
 
-        Their tool, spindle and feed are the same. Cuts of a tool along z also must both descend, or both not, and both
-        be along the spindle, or both not.
+        Their tool and spindle are the same, and both cut or both are rapid. Cuts of a tool along z also must both
+        descend, or both not, and both be along the spindle, or both not.
 
         :param may_touch: (L,) segments that can touch the stock.
         """

@@ -636,7 +636,8 @@ class _MoveBuilder:
         """Add a fault for the first line on which machine and robot would move to different heights after a retract.
 
         In G90 that is a move at feed before the first Z, in G91 a Z or a cycle. A coordinate that G90 states is the
-        same for machine and robot again: `is_displaced` and `is_lifted` are updated.
+        same for machine and robot again: `is_displaced` (axes along which both are at different places) and `is_lifted`
+        (their heights differ after a retract) are updated.
 
         :param begin: first row of the lines, all in G90 or all in G91; `end`: row after the last.
         """
