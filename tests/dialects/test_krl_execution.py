@@ -308,6 +308,39 @@ ENDLESS = {
     "begins at joint angles": ([FULL, "LOOP", HOME, FULL, AWAY, "ENDLOOP", FULL], 4),
     "force of its own": ([FULL, "LOOP", HOME, ";FORCE FX=9", FULL, AWAY, "ENDLOOP"], 4),
     "counts": ([FULL, "LOOP", "K=K+1", AWAY, FULL, "ENDLOOP"], 3),
+    "decides on outputs": (
+        [
+            FULL,
+            "LOOP",
+            *["K=K+1", "IF K>2 THEN", "K=0", "$OUT[K+1]=TRUE", "ELSE", "$OUT[2]=FALSE", "ENDIF"],
+            AWAY,
+            FULL,
+            "ENDLOOP",
+        ],
+        3,
+    ),
+    "waits for outputs": ([FULL, "LOOP", "WAIT FOR $OUT[2]", AWAY, "$OUT[2]=TRUE", FULL, "ENDLOOP"], 3),
+    "decides on outputs by SWITCH": (
+        [
+            FULL,
+            *[
+                "LOOP",
+                "K=K+1",
+                "SWITCH K",
+                "CASE 1,2",
+                "IF OK THEN",
+                "$OUT[3]=TRUE",
+                "ENDIF",
+                "DEFAULT",
+                "K=0",
+                "ENDSWITCH",
+            ],
+            AWAY,
+            FULL,
+            "ENDLOOP",
+        ],
+        3,
+    ),
     "waits for the start key": ([FULL, "LOOP", AWAY, FULL, "IF $IN[1] THEN", "HALT", "ENDIF", "ENDLOOP"], 3),
     "counter of its own": ([FULL, "LOOP", "FOR I=1 TO 2", AWAY, FULL, "ENDFOR", "ENDLOOP"], 5),
     "speed as before": (["$VEL.CP=0.1", FULL, "LOOP", "$VEL.CP=0.1", AWAY, FULL, "ENDLOOP"], 3),
@@ -363,6 +396,22 @@ def test_a_loop_without_exit_whose_branches_leave_different_forces_to_the_next_r
         ([FULL, "SUB()"], "LOOP never ends"),
         ([FULL, "LOOP", "GO()", "K=2", FULL, "ENDLOOP"], "each one changes K for the next"),
         ([FULL, "LOOP", "IF $IN[1] THEN", "K=2", "ENDIF", "LIN {X K}", FULL, "ENDLOOP"], "each one changes K"),
+        *(
+            (
+                [FULL, "LOOP", "K=K+1", "IF K>2 THEN", *lines, "ENDIF", *behind, FULL, "ENDLOOP"],
+                "each one changes K for",
+            )
+            for lines, behind in (
+                ([AWAY], []),
+                (["WAIT SEC 1"], []),
+                (["; FORCE FX=9", "$OUT[1]=TRUE"], []),
+                (["$VEL.CP=0.1"], []),
+                (["I=2"], ["LIN {X I}"]),
+                (["$OUT[1]=TRUE"], ["IF $OUT[1] THEN", AWAY, "ENDIF"]),
+                (["GO()"], []),
+                (["FOR I=1 TO 3", "$OUT[I]=TRUE", "ENDFOR"], []),
+            )
+        ),
     ],
 )
 def test_a_loop_without_exit_whose_rounds_differ_is_refused_with_its_line(lines, problem):
