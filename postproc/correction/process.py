@@ -166,7 +166,7 @@ class Task(Struct, frozen=True, eq=False):
 
     :param robot: the robot model, `mode` and `linearize_arcs` as given to `process`.
     :param written_dialect: name of the dialect of the written program.
-    :param in_file: True if its forces are read from and written to a file, False for comments.
+    :param has_force_file: True if its forces are read from and written to a file, False for comments.
     :param initial_issues: issues found before anything is computed.
     :param turn: the turn of the tool about its axis, if it was chosen.
     """
@@ -175,7 +175,7 @@ class Task(Struct, frozen=True, eq=False):
     mode: Mode
     linearize_arcs: bool
     written_dialect: str
-    in_file: bool
+    has_force_file: bool
     initial_issues: tuple[Issue, ...]
     turn: Turn | None = None
 
@@ -259,7 +259,7 @@ class Draft(Struct, frozen=True, eq=False):
         known_kinds = {issue.kind for issue in draft.issues}
         new_issues = [issue for issue in simulation.issues if issue.kind not in known_kinds or issue.kind == "blending"]
         draft = replace(draft, simulation=simulation, issues=(*draft.issues, *new_issues))
-        if draft.failed or not task.in_file:
+        if draft.failed or not task.has_force_file:
             return draft
         knots, force_file_issues = _readback_forces(draft, readback)
         return replace(draft, file_forces=knots, force_file_issues=force_file_issues)
@@ -267,7 +267,7 @@ class Draft(Struct, frozen=True, eq=False):
     def _text(self, task: Task) -> WrittenProgram:
         """Return the program with the targets of this draft, as its dialect writes it."""
         path, row = self.path, self.selection.row
-        has_force_comments = bool(path.program.notes) and not task.in_file  # else a file gives the forces
+        has_force_comments = bool(path.program.notes) and not task.has_force_file  # else a file gives the forces
         comments = self.forces_at_targets() if has_force_comments else None
         q = self.q[row]
         joints = TargetJoints(q, kinematics.status_of(task.robot, q))
@@ -712,7 +712,7 @@ def process(
         mode=mode,
         linearize_arcs=linearize_arcs,
         written_dialect=written_dialect,
-        in_file=source is not None,
+        has_force_file=source is not None,
         initial_issues=_initial_issues(program, robot, cell, mode),
     )
     errors = [issue for issue in task.initial_issues if issue.level == "error"]

@@ -113,10 +113,15 @@ def forces_by_module(result: Result) -> dict[str, bytes]:
 
 
 def _file_forces(result: Result) -> Knots | None:
-    """Return the forces of the targets that forces.csv must state, without those of PTP; None if no file is needed."""
-    if result.file_forces is None:
+    """Return the forces of the targets that forces.csv must state, without those of PTP; None if no file is needed.
+
+    No file is needed if comments of the written program state its forces, or if nothing is written.
+    """
+    knots = result.file_forces  # `knots.motion`: target of each force
+    if knots is None:
         return None
-    return result.file_forces.take(result.program.motions.kind[result.motion[result.file_forces.motion]] != PTP)
+    kind = result.program.motions.kind[result.motion[knots.motion]]
+    return knots.take(kind != PTP)
 
 
 def _force_rows(knots: Knots, output_line: Ints) -> bytes:

@@ -103,9 +103,10 @@ class _ArcPieces(NamedTuple):
         :param distance: largest distance of the arc from a chord [m]; the limits of the angle go before it.
         :param least_angle: smallest angle of a chord [rad]; the largest is `_MOST_CHORD_ANGLE`.
         """
-        step = 2.0 * np.arccos(np.clip(1.0 - distance / np.maximum(norm(self.radial), distance), -1.0, 1.0))
-        step = np.clip(step, least_angle, _MOST_CHORD_ANGLE)
-        return np.asarray(np.maximum(np.ceil(self.angle / step), 1.0).astype(np.int64))
+        radius = np.maximum(norm(self.radial), distance)
+        chord_angle = 2.0 * np.arccos(np.clip(1.0 - distance / radius, -1.0, 1.0))
+        chord_angle = np.clip(chord_angle, least_angle, _MOST_CHORD_ANGLE)
+        return np.asarray(np.maximum(np.ceil(self.angle / chord_angle), 1.0).astype(np.int64))
 
     def points(self, piece: Ints, remaining_share: Array) -> Array:
         """Return points (n, 3) on pieces, in their `$BASE` [m].

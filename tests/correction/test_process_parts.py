@@ -112,7 +112,7 @@ class Draft(process.Draft):
         return task.writer
 
 
-def drafted(monkeypatch, simulation, *, text_issues=(), initial_issues=(), in_file=False, mode="convert"):
+def drafted(monkeypatch, simulation, *, text_issues=(), initial_issues=(), has_force_file=False, mode="convert"):
     """The draft as written, and the calls of its stages."""
     calls = []
 
@@ -132,7 +132,7 @@ def drafted(monkeypatch, simulation, *, text_issues=(), initial_issues=(), in_fi
     text = SimpleNamespace(issues=text_issues, size=10, modules=None)
     path = SimpleNamespace(robot_in_cell=SimpleNamespace(cell=CELL), program=MADE)
     draft = Draft(path, None, "theta", "selection", initial_issues)
-    task = SimpleNamespace(writer=text, in_file=in_file, mode=mode)
+    task = SimpleNamespace(writer=text, has_force_file=has_force_file, mode=mode)
     return draft.write(task), calls
 
 
@@ -141,25 +141,30 @@ def issue(kind, level="warning"):
 
 
 @pytest.mark.parametrize(("mode", "is_corrected"), [("convert", True), ("predict", True), ("nominal", False)])
-@pytest.mark.parametrize("in_file", [False, True])
+@pytest.mark.parametrize("has_force_file", [False, True])
 def test_a_written_draft_has_the_issues_of_its_simulation_that_are_new_and_all_of_blending(
-    monkeypatch, mode, is_corrected, in_file
+    monkeypatch, mode, is_corrected, has_force_file
 ):
     simulation = SimpleNamespace(issues=(issue("old"), issue("new"), issue("blending"), issue("new")))
     initial = (issue("old"), issue("blending"))
     draft, calls = drafted(
-        monkeypatch, simulation, text_issues=(issue("text"),), initial_issues=initial, in_file=in_file, mode=mode
+        monkeypatch,
+        simulation,
+        text_issues=(issue("text"),),
+        initial_issues=initial,
+        has_force_file=has_force_file,
+        mode=mode,
     )
     assert calls == ["read back", ("theta", "readback", is_corrected)]
     assert [entry.kind for entry in draft.issues] == ["old", "blending", "text", "new", "blending", "new"]
     assert draft.simulation is simulation
     assert (draft.file_forces, draft.force_file_issues) == (
-        ("knots", ("issue of the file",)) if in_file else (None, ())
+        ("knots", ("issue of the file",)) if has_force_file else (None, ())
     )
 
 
 def test_a_draft_with_an_error_of_its_simulation_has_no_force_file(monkeypatch):
-    draft, _ = drafted(monkeypatch, SimpleNamespace(issues=(issue("tolerance", "error"),)), in_file=True)
+    draft, _ = drafted(monkeypatch, SimpleNamespace(issues=(issue("tolerance", "error"),)), has_force_file=True)
     assert draft.failed
     assert (draft.file_forces, draft.force_file_issues) == (None, ())
 
