@@ -617,7 +617,7 @@ def _check_rotary(rotary: Rotary, file: str) -> None:
         if rotary.axes:
             advice = "I, J, K of the program are the direction of the tool: leave axes out."
             raise CellError('[rotary] axes with kind = "vector"', file=file, advice=advice)
-    elif not 1 <= len(rotary.axes) <= 2 or len(set(rotary.axes)) != len(rotary.axes):
+    elif len(rotary.axes) not in (1, 2) or len(set(rotary.axes)) != len(rotary.axes):  # none, too many, or one twice
         raise CellError("[rotary] axes", file=file, advice='One or two letters, from the part outwards: ["C", "B"].')
     if len(rotary.signs) not in (0, len(rotary.axes)):
         raise CellError("[rotary] signs", file=file, advice="Give 1 or -1 for each of the axes.")

@@ -98,7 +98,7 @@ class AutomaticConversion:
         Commands that still run count at the next call too.
         """
         recent_runs = self._runs.runs_since(self._oldest_number)
-        active_runs = [run for run in recent_runs if run.code is None]
+        active_runs = [run for run in recent_runs if run.is_running]
         # without a running command, only later ones count at the next call
         next_number = self._oldest_number + len(recent_runs)
         self._oldest_number = min((run.number for run in active_runs), default=next_number)

@@ -91,6 +91,11 @@ class Run:
         return None if self._reader.is_alive() else self._process.returncode
 
     @property
+    def is_running(self) -> bool:
+        """Whether the command runs."""
+        return self.code is None
+
+    @property
     def text(self) -> str:
         """Last characters that the command has printed so far."""
         return self._text
@@ -99,7 +104,7 @@ class Run:
     def is_failure(self) -> bool:
         """True if the command has ended with an error, and not because it was stopped."""
         # exit code 3: the files are written, and the verdict is red
-        return self.code not in (None, 0, 3) and not self.is_stopped
+        return not self.is_running and self.code not in (0, 3) and not self.is_stopped
 
     @property
     def progress(self) -> str:
@@ -113,7 +118,7 @@ class Run:
 
     def stop(self) -> None:
         """Ask the command to end by closing its standard input, if it runs; files that it has written are complete."""
-        if self.code is None:
+        if self.is_running:
             self.is_stopped = True
             self._close_pipe()
 
@@ -200,7 +205,7 @@ class Runs:
 
     def active_runs(self) -> list[Run]:
         """Return the commands that run now."""
-        return [run for run in self._runs if run.code is None]
+        return [run for run in self._runs if run.is_running]
 
     def runs_since(self, number: int) -> list[Run]:
         """Return the commands with `number` or a greater number, in order."""

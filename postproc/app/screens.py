@@ -145,7 +145,7 @@ def programs_page(workspace: Workspace, programs: Sequence[Row], stamp: str, *, 
         {
             "name": row.item.name,
             **result_texts(row.item),
-            "active": row.run if row.run is not None and row.run.code is None else None,
+            "active": row.run if row.run is not None and row.run.is_running else None,
             "failure": row.run if row.run is not None and not row.item.is_current and row.run.is_failure else None,
             "waits_for": row.waits_for,
         }

@@ -53,7 +53,8 @@ def compare(ctx: click.Context, /, as_json: bool, **request: Any) -> None:
 
     comparison = compare_programs(CompareRequest(**request))
     if as_json:
-        click.echo(comparison.written_files[-1].read_text(encoding="utf-8"), nl=False)
+        report = comparison.written_files[-1]  # part.compare.report.json
+        click.echo(report.read_text(encoding="utf-8"), nl=False)
     else:
         click.echo(comparison_text(comparison.summary, display()))
         names = ", ".join(path.name for path in comparison.written_files)

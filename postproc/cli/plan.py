@@ -74,7 +74,8 @@ def compensator(as_json: bool, **request: Any) -> None:
         raise click.BadParameter("give a file that ends in .csv", param_hint="-o")
     files = make_compensator_plan(plan_request)
     if as_json:
-        click.echo(files.written_files[-1].read_text(encoding="utf-8"), nl=False)
+        json_file = files.written_files[-1]
+        click.echo(json_file.read_text(encoding="utf-8"), nl=False)
         return
     for line in text_lines(files.plan):
         click.echo(line)
@@ -145,7 +146,8 @@ def poses(programs: tuple[str, ...], other_programs: tuple[str, ...], as_json: b
     for warning in files.result.warnings:
         click.echo(f"warning: {warning}", err=True)
     if as_json:
-        click.echo(files.written_files[-1].read_text(encoding="utf-8"), nl=False)
+        json_file = files.written_files[-1]
+        click.echo(json_file.read_text(encoding="utf-8"), nl=False)
         return
     for line in plan_lines(files.result):
         click.echo(line)

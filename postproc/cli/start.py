@@ -88,15 +88,19 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
     name = registry.program_name(program)
     answers_path = folder / f"{name}.answers.toml"
     answer_file = load_answers(answers_path, program)
+    own_cell, own_process = folder / "cell.toml", folder / f"{name}.process.toml"  # files that this command writes
+    # files that the user names, and own files that the user has edited, are used as they are
+    edited_files = [
+        path for path in (own_cell, own_process) if is_edited(path, answer_file) and not options["overwrite"]
+    ]
     cell, process = options["cell_file"], options["process_file"] or options["forces"]
-    keep_cell = cell is not None or (is_edited(folder / "cell.toml", answer_file) and not options["overwrite"])
-    cell = cell or folder / "cell.toml"
-    process_path = folder / f"{name}.process.toml"
-    keep_process = process is not None or (is_edited(process_path, answer_file) and not options["overwrite"])
+    keep_cell = cell is not None or own_cell in edited_files
+    cell = cell or own_cell
+    keep_process = process is not None or own_process in edited_files
     if process is None and (keep_process or not needs.has_forces):
-        process = process_path
+        process = own_process
     for path in (cell, process):
-        if path in (folder / "cell.toml", process_path) and is_edited(path, answer_file) and not options["overwrite"]:
+        if path in edited_files:
             click.echo(f"{path} is used as it is.")
     answers = Answers()
     kept_files = [file for file, is_kept in (("cell", keep_cell), ("process", keep_process)) if is_kept]
@@ -111,13 +115,11 @@ def start(ctx: click.Context, /, program: Path, output: Path | None, no_open: bo
         click.echo(f"warning: {remark}", err=True)
     outcome = _convert_and_print(ctx, program, folder, files.cell, files.process, options)
     _offer_place(outcome, program, files.cell, files.process)
-    page = (
-        folder / f"{Path(outcome.written_files[0]).name.partition('.')[0]}.report.html"
-        if outcome.written_files
-        else None
-    )
-    if page is not None and page.is_file() and not no_open and sys.stdout.isatty():
-        click.launch(str(page))
+    if outcome.written_files:
+        program_name = Path(outcome.written_files[0]).name.partition(".")[0]
+        page = folder / f"{program_name}.report.html"
+        if page.is_file() and not no_open and sys.stdout.isatty():
+            click.launch(str(page))
     ctx.exit(outcome.code)
 
 

@@ -71,7 +71,8 @@ def testpart(as_json: bool, programs: tuple[str, ...], other_programs: tuple[str
 
     files = make_testpart(TestPartRequest(programs=programs + other_programs, **request))
     if as_json:
-        click.echo(files.written_files[-1].read_text(encoding="utf-8"), nl=False)
+        json_file = files.written_files[-1]
+        click.echo(json_file.read_text(encoding="utf-8"), nl=False)
         return
     for line in design_lines(files.design, files.prior, files.cutting, files.parts):
         click.echo(line)

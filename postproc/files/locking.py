@@ -39,8 +39,9 @@ def lock(folders: Iterable[Path], waiting: Callable[[str], None] | None = None) 
     :param waiting: is called once with a sentence when another process has a lock; None: nothing is said.
     """
     with contextlib.ExitStack() as locks:
-        new_folders = {folder.resolve() for folder in folders} - _locked_folders
-        for folder in sorted(new_folders):  # the same order in each process
+        unlocked_folders = {folder.resolve() for folder in folders} - _locked_folders
+        # the same order in each process: else two could wait for each other
+        for folder in sorted(unlocked_folders):
             locks.enter_context(_lock_folder(folder, waiting))
         yield
 

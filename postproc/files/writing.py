@@ -195,7 +195,7 @@ def write_whole(folder: Path, contents: Mapping[str, bytes | Iterable[bytes]]) -
             folder_lock.enter_context(lock([folder]))
         with folder_lock:
             with interrupts.allow():
-                file_set = stage(folder, contents)
+                file_set = stage(folder, contents)  # in a folder of their own, so that nothing is replaced yet
             return replace(folder, [file_set])
 
 

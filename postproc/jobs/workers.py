@@ -344,7 +344,8 @@ class ClusterWorkers:
         If the scheduler does not answer, nothing is updated.
         """
         time_s = time.monotonic()
-        if time_s < self._last_look + min(_LOOK, PATIENCE / 4.0) or self._client.status != "running":
+        is_due = time_s >= self._last_look + min(_LOOK, PATIENCE / 4.0)
+        if not is_due or self._client.status != "running":
             return
         self._last_look = time_s
         with suppress(Exception):  # without an answer `_last_answer` stays, and `lost_outcome` gives up in time
@@ -352,7 +353,7 @@ class ClusterWorkers:
             self._last_answer = time_s if workers else self._last_answer
             for address, worker in workers.items():
                 last_sign = self._signs.get(address)
-                if last_sign is None or last_sign.scheduler_s != worker["last_seen"]:
+                if last_sign is None or last_sign.scheduler_s != worker["last_seen"]:  # a new sign of life
                     self._signs[address] = _Sign(worker["last_seen"], time_s)
             tasks = self._client.sync(self._client.scheduler.processing, workers=None, callback_timeout=PATIENCE)
             self._worker_of_task = {

@@ -114,7 +114,8 @@ class Commands:
         return self.by_user(key, arguments)
 
     def by_user(self, key, arguments, code=None):
-        self.runs.append(SimpleNamespace(number=len(self.runs), key=key, arguments=tuple(arguments), code=code))
+        number, is_running = len(self.runs), code is None
+        self.runs.append(SimpleNamespace(number=number, key=key, arguments=tuple(arguments), is_running=is_running))
         return self.runs[-1]
 
     def runs_since(self, number):
@@ -122,7 +123,7 @@ class Commands:
 
     def end(self):
         for run in self.runs:
-            run.code = 1
+            run.is_running = False
 
 
 @pytest.fixture
@@ -224,7 +225,7 @@ def test_whatever_happens_each_program_is_begun_once_for_each_of_its_contents(fo
         match str(random.choice(events)):
             case "write":
                 (folder / name).write_text(f"{PROGRAM}({number})\n")
-            case "user" if content(name) and all(run.code is not None for run in runs.runs):
+            case "user" if content(name) and all(not run.is_running for run in runs.runs):
                 results[name] = content(name)
                 runs.by_user(name, ["convert", name])
             case "end":
