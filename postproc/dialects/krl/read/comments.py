@@ -40,19 +40,19 @@ def force_comment_lines(source: Source) -> tuple[int, ...]:
 
 def force_notes(
     execution: Execution,
-    motions: Ints,
+    trace_row: Ints,
     is_rapid: Bools,
     unknown_reasons: Mapping[int, str],
     unchecked_joins: Set[Join] = frozenset(),
 ) -> list[tuple[int, ForceNote]]:
-    """Return the force comments of a trace, each with its line of the trace, in order.
+    """Return the force comments of a trace, each with its row of the trace, in order.
 
     At branches and joins a comment is added that states the acting force again. In each round of a LOOP without EXIT
     the forces must be those of the first.
 
-    :param motions: (M,) lines of the motions in the trace.
+    :param trace_row: (M,) rows of the trace with the motions.
     :param is_rapid: (M,) True for motions that carry no force.
-    :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
+    :param unknown_reasons: rows of the trace after which the acting force is not known, and why.
     :param unchecked_joins: joins at which branches may end in different poses.
     :raises ProgramError: the force on a motion is not known, or another one in the second round of a LOOP without EXIT.
     :raises ForceError: a comment cannot be read.
@@ -70,25 +70,27 @@ def force_notes(
                 place = trace.place(int(lines[in_step][0]))
                 unknown_reasons[step.last] = f"a force comment is in code that is left unchanged ({place})"
                 lines, comments = lines[~in_step], comments[~in_step]
-    notes = list(_parsed_notes(trace, motions, lines, comments))
-    marks = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
-    if not marks and not unknown_reasons and execution.endless_loop is None:
+    notes = list(_parsed_notes(trace, trace_row, lines, comments))
+    divisions = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
+    if not divisions and not unknown_reasons and execution.endless_loop is None:
         return notes
-    return _ActiveForce(execution, motions, is_rapid, unchecked_joins).restated_notes(notes, unknown_reasons, marks)
+    return _ActiveForce(execution, trace_row, is_rapid, unchecked_joins).restated_notes(
+        notes, unknown_reasons, divisions
+    )
 
 
 def _parsed_notes(
-    trace: Trace, motions: Ints, lines: Ints, comments: NDArray[np.object_]
+    trace: Trace, trace_row: Ints, lines: Ints, comments: NDArray[np.object_]
 ) -> Iterator[tuple[int, ForceNote]]:
-    """Yield the force comments of a trace, each with its line of the trace; each text is parsed once.
+    """Yield the force comments of a trace, each with its row of the trace; each text is parsed once.
 
-    :param motions: (M,) lines of the motions in the trace.
-    :param lines: (n,) lines of the comments in the trace; `comments` (n,) their texts.
+    :param trace_row: (M,) rows of the trace with the motions.
+    :param lines: (n,) rows of the comments in the trace; `comments` (n,) their texts.
     :raises ForceError: a comment cannot be read.
     """
     note_of_text: dict[str, ForceNote | None] = {}
     # first motion on or after each line, and the line in the file
-    rows, lines_in_files = np.searchsorted(motions, lines).tolist(), trace.line[lines - 1].tolist()
+    rows, lines_in_files = np.searchsorted(trace_row, lines).tolist(), trace.line[lines - 1].tolist()
     for comment, line, file_line, row in zip(comments.tolist(), lines.tolist(), lines_in_files, rows, strict=True):
         if comment not in note_of_text:
             origin = trace.place(line)
@@ -115,17 +117,17 @@ class _ActiveForce:
     :ivar loaded_rows: rows of motions that carry forces, from each of which on another force may act; `forces`: these.
     """
 
-    def __init__(self, execution: Execution, motions: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
+    def __init__(self, execution: Execution, trace_row: Ints, is_rapid: Bools, unchecked_joins: Set[Join]) -> None:
         """Begin before the first line, without a force.
 
         :param execution: the execution trace.
-        :param motions: (M,) lines of the motions in the trace.
+        :param trace_row: (M,) rows of the trace with the motions.
         :param is_rapid: (M,) True for motions that carry no force.
         :param unchecked_joins: joins at which branches may end in different poses.
         """
-        self.execution, self.motions, self.is_rapid, self.unchecked_joins = (
+        self.execution, self.trace_row, self.is_rapid, self.unchecked_joins = (
             execution,
-            motions,
+            trace_row,
             is_rapid,
             unchecked_joins,
         )
@@ -141,18 +143,18 @@ class _ActiveForce:
         self,
         notes: Sequence[tuple[int, ForceNote]],
         unknown_reasons: Mapping[int, str],
-        marks: Sequence[Fork | Branch | Join],
+        divisions: Sequence[Fork | Branch | Join],
     ) -> list[tuple[int, ForceNote]]:
         """Return the force comments, and added comments that state the acting force again at branches and joins.
 
-        :param notes: force comments, each with its line of the trace.
-        :param unknown_reasons: lines of the trace after which the acting force is not known, and why.
-        :param marks: forks, branches and joins of the trace.
+        :param notes: force comments, each with its row of the trace.
+        :param unknown_reasons: rows of the trace after which the acting force is not known, and why.
+        :param divisions: forks, branches and joins of the trace.
         """
         events: list[_Event] = [
             *((line, 0, note) for line, note in notes),
             *((line, 1, reason) for line, reason in unknown_reasons.items()),
-            *((mark.row, 2, mark) for mark in marks),
+            *((division.row, 2, division) for division in divisions),
         ]
         events.sort(key=lambda event: event[:2])
         self._pass_events(events)
@@ -167,7 +169,7 @@ class _ActiveForce:
         :param events: the events in the LOOP.
         :raises ProgramError: the force is another one, or not known.
         """
-        next_round = _ActiveForce(self.execution, self.motions, self.is_rapid, self.unchecked_joins)
+        next_round = _ActiveForce(self.execution, self.trace_row, self.is_rapid, self.unchecked_joins)
         next_round.active_force, next_round.motion_force = self.active_force, self.motion_force
         next_round.passed_line = loop.first - 1
         next_round._pass_events(events)
@@ -226,8 +228,8 @@ class _ActiveForce:
             problem = "the branches that end here do so under different forces: corrected, they would not meet"
             raise self.execution.branch_error(problem, line, {fork_row}, _JOIN_ADVICE)
         is_common = all(force == forces[0] for force in forces)
-        row = int(np.searchsorted(self.motions, line))
-        if is_common and row < len(self.motions) and self.motions[row] == line:
+        row = int(np.searchsorted(self.trace_row, line))
+        if is_common and row < len(self.trace_row) and self.trace_row[row] == line:
             return  # the line of a motion after which a routine ends
         self._set_force(
             line, ends[0].active_force if is_common else "branches that meet before it leave different ones"
@@ -245,7 +247,7 @@ class _ActiveForce:
             return
         wrench, frame = _wrench_and_frame(force)
         origin = self.execution.trace.place(line).line
-        motion = int(np.searchsorted(self.motions, line))
+        motion = int(np.searchsorted(self.trace_row, line))
         self.notes.append((line, ForceNote(origin, wrench, frame, motion, is_restated=True)))
 
     def _pass_motions(self, line: int) -> None:
@@ -254,14 +256,14 @@ class _ActiveForce:
         :raises ProgramError: the force on one of these motions is not known.
         """
         # motions after `passed_line`, up to and including `line`
-        first, stop = np.searchsorted(self.motions, [self.passed_line, line], side="right").tolist()
+        first, stop = np.searchsorted(self.trace_row, [self.passed_line, line], side="right").tolist()
         self.passed_line = max(self.passed_line, line)
         if first >= stop:
             return
         loaded_rows = first + np.flatnonzero(~self.is_rapid[first:stop])
         if isinstance(self.active_force, str) and len(loaded_rows):
             problem = f"which force acts is not known: {self.active_force}"
-            raise self.execution.trace.error(problem, int(self.motions[loaded_rows[0]]), _FORCE_ADVICE)
+            raise self.execution.trace.error(problem, int(self.trace_row[loaded_rows[0]]), _FORCE_ADVICE)
         if len(loaded_rows):
             self.loaded_rows.append(int(loaded_rows[0]))
             self.forces.append(self.active_force)

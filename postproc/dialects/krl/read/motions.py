@@ -61,9 +61,11 @@ _SPEED_WORDS = frozenset({"C_VEL", "C_ORI"})
 
 
 class OrderedMotions(NamedTuple):
-    """All R motions in order: the contents of their lines, and the settings in force.
+    """All R motions in execution order: the contents of their lines, and the settings in force.
 
-    :ivar columns: the motions.
+    A motion is given by its index, from 0, also called its row.
+
+    :ivar columns: the motions as they are in the text.
     :ivar motion_states: settings in force at each motion; for the fields `plain_settings.NUMBERS` see `numbers`.
     :ivar numbers: (R, 4) speed, distance of approximation, two turn speeds (`plain_settings.NUMBERS`), as runs. Plain
         settings change these, and create no states.
@@ -79,7 +81,9 @@ class OrderedMotions(NamedTuple):
 class _MergedSettings(NamedTuple):
     """The order of all R motions, and the settings in force.
 
-    :ivar places: (R,) places in execution order, from 0, of the plain motions, then of the statements.
+    Plain motions are read in bulk; all others are statements.
+
+    :ivar places: (R,) indices in execution order, from 0, of the plain motions, then of the statements.
     :ivar motion_states: settings in force at each motion, in execution order.
     :ivar numbers: (R, 4) see `OrderedMotions.numbers`.
     """
@@ -106,17 +110,17 @@ def ordered_motions(follower: TraceFollower, plain_parts: list[MotionColumns]) -
     return OrderedMotions(merged_motions(plain_parts, places), motion_states, numbers, moves)
 
 
-def _merged_settings(follower: TraceFollower, plain_lines: list[Ints], statement_lines: Ints) -> _MergedSettings:
+def _merged_settings(follower: TraceFollower, plain_rows: list[Ints], statement_rows: Ints) -> _MergedSettings:
     """Return the order of plain motions and statements, and the settings in force at each motion.
 
     :param follower: has followed all lines that are not plain.
-    :param plain_lines: lines of the plain motions in the trace, in parts.
-    :param statement_lines: (S,) lines of the motions that were read as statements.
+    :param plain_rows: rows of the trace with the plain motions, in parts.
+    :param statement_rows: (S,) rows of the trace with the motions that were read as statements.
     """
-    line = np.concatenate(plain_lines)
-    plain_states = _states_of_lines(follower.run.settings, line)  # statements have their states with them
+    plain_row = np.concatenate(plain_rows)
+    plain_states = _states_of_lines(follower.run.settings, plain_row)  # statements have their states with them
     states, statement_index = _with_statement_states(plain_states.motion_states.states, follower.motions.states)
-    plain_places, statement_places = _merged_places(line, statement_lines)
+    plain_places, statement_places = _merged_places(plain_row, statement_rows)
     places = compact(np.concatenate([plain_places, statement_places]), np.int32)
     index: NDArray[Any] = np.empty(len(places), dtype=np.int32)
     index[places] = np.concatenate([plain_states.motion_states.index, statement_index])
@@ -125,23 +129,23 @@ def _merged_settings(follower: TraceFollower, plain_lines: list[Ints], statement
     for column in range(len(NUMBERS)):
         state_values = numbers[plain_places, column]
         numbers[plain_places, column] = follower.run.settings.plain_assignments.values_at(
-            column, line, plain_states.change_lines, state_values
+            column, plain_row, plain_states.change_lines, state_values
         )
     return _MergedSettings(places, MotionStates(states, index), Runs.of(numbers))
 
 
-def _merged_places(plain_lines: Ints, statement_lines: Ints) -> tuple[Ints, Ints]:
+def _merged_places(plain_rows: Ints, statement_rows: Ints) -> tuple[Ints, Ints]:
     """Return the places in execution order, from 0, of P plain motions (P,) and of S statements (S,) among them.
 
-    :param plain_lines: (P,) lines of the plain motions in the trace, in any order.
-    :param statement_lines: (S,) lines of the statements in the trace, ascending.
+    :param plain_rows: (P,) rows of the trace with the plain motions, in any order.
+    :param statement_rows: (S,) rows of the trace with the statements, ascending.
     """
-    order = compact(np.argsort(plain_lines, kind="stable"), np.int32)
-    # before a statement are the plain motions with smaller lines, and the statements before it
-    plain_count = np.searchsorted(plain_lines, statement_lines, sorter=order)
-    statement_places = plain_count + np.arange(len(statement_lines))
-    plain_places = np.empty_like(plain_lines)
-    plain_places[order] = np.delete(np.arange(len(plain_lines) + len(statement_lines)), statement_places)
+    order = compact(np.argsort(plain_rows, kind="stable"), np.int32)
+    # before a statement are the plain motions with smaller rows, and the statements before it
+    plain_count = np.searchsorted(plain_rows, statement_rows, sorter=order)
+    statement_places = plain_count + np.arange(len(statement_rows))
+    plain_places = np.empty_like(plain_rows)
+    plain_places[order] = np.delete(np.arange(len(plain_rows) + len(statement_rows)), statement_places)
     return plain_places, statement_places
 
 
@@ -350,11 +354,10 @@ def _elements_of_program(columns: MotionColumns, rounds: ElementMotions) -> Elem
     :param columns: the motions of the program.
     :param rounds: the motions of the loop; uncorrected ones, which are not in `columns`, are left out.
     """
-    row = np.searchsorted(columns.trace_row, rounds.columns.trace_row)
-    is_present = (
-        columns.trace_row[np.minimum(row, len(columns) - 1)] == rounds.columns.trace_row
-    )  # else another motion is at that place
-    return Elements(row[is_present], rounds.literal[is_present], rounds.source, rounds.name)
+    motion = np.searchsorted(columns.trace_row, rounds.columns.trace_row)
+    # False for an uncorrected motion: another one has its index
+    is_present = columns.trace_row[np.minimum(motion, len(columns) - 1)] == rounds.columns.trace_row
+    return Elements(motion[is_present], rounds.literal[is_present], rounds.source, rounds.name)
 
 
 def _target_starts(target: Offsets, elements: tuple[Elements, ...]) -> Offsets:
@@ -424,9 +427,9 @@ class LineSettings(NamedTuple):
 
 
 def settings_at(settings: Settings, line: Ints) -> list[LineSettings]:
-    """Return the settings in force before n lines.
+    """Return the settings in force before n rows of the trace.
 
-    :param line: (n,) lines of the trace.
+    :param line: (n,) the rows.
     """
     motion_states, change_lines = _states_of_lines(settings, line)
     numbers = [
@@ -535,7 +538,7 @@ def _orientation_control(trace: Trace, columns: MotionColumns, motion_states: Mo
 def _wrist_led_rows(
     trace: Trace, columns: MotionColumns, motion_states: MotionStates, ends: EndPoses, carriage: Carriage | None
 ) -> Bools:
-    """Return which motions (R,) turn the tool by the wrist axes: lines under `$ORI_TYPE=#JOINT` that change it.
+    """Return which motions (R,) turn the tool by the wrist axes A4 to A6: LINs under `$ORI_TYPE=#JOINT` that turn it.
 
     :raises ProgramError: the orientation changes under #JOINT or #IGNORE on another motion, in a way that is not known.
     """
@@ -568,7 +571,7 @@ def _wrist_led_rows(
 def _check_automatic_wrist_mode(
     trace: Trace, columns: MotionColumns, motion_states: MotionStates, ends: EndPoses, settings: Settings
 ) -> None:
-    """Refuse spline motions whose orientation the controller may lead by the wrist axes.
+    """Refuse spline motions whose orientation the controller may lead by the wrist axes, since that path is not known.
 
     Under `$SPL_ORI_JOINT_AUTO` #ON the controller decides that itself for each spline motion under `$ORI_TYPE=#VAR`
     (KUKA, KSS 8.x). A setting that is not known counts as #ON.
