@@ -161,7 +161,7 @@ def told(source, *, bulk):
     motions = program.motions
     out = {f"motions.{name}": np.asarray(getattr(motions, name)) for name in motions.__struct_fields__}
     for name in (
-        "line",
+        "trace_row",
         "notes",
         "numbers",
         "is_missing",
