@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact
 from postproc.errors import MAX_ERRORS, ForceError, Issue, combined_error
-from postproc.forces.axes import Axes, last_travel, predecessors
+from postproc.forces.axes import Axes, last_travel
 from postproc.forces.path_forces import PathForces
 from postproc.forces.precedence import combine, comment_knots, small_force_issues, unused_comment_issues
 from postproc.forces.releases import released_motions, with_releases
@@ -216,7 +216,7 @@ def _factors_with_ramps(factor: Array, last: Ints, has_ramp: Bools, ramp_knots: 
     """
     if not factor.any():
         return constant(0.0, len(factor) + len(ramp_knots))
-    previous = predecessors(program)[has_ramp]
+    previous = program.predecessors[has_ramp]
     has_predecessor = previous >= 0
     return np.insert(factor, ramp_knots, np.where(has_predecessor, factor[last[previous]], 0.0))
 

@@ -124,7 +124,7 @@ def last_travel(program: Program, path: Segments, axis: str) -> tuple[Array, Boo
     rows, end = np.arange(len(m)), np.ones(len(m))
     z = _towards_spindle(at(program, path, rows, end), axis)
     x, is_undefined = _end_directions(program, path, z)
-    source = _last_motion_across(predecessors(program), is_undefined)  # the motion whose direction each motion gets
+    source = _last_motion_across(program.predecessors, is_undefined)  # the motion whose direction each motion gets
     # before the first motion across the spindle, this motion is the source; −1 if no motion runs across it
     source[source < 0] = -1 if is_undefined.all() else int(np.argmin(is_undefined))
     rotation = program.bases[:, :3, :3]
@@ -151,11 +151,6 @@ def _end_directions(program: Program, path: Segments, z: Array) -> tuple[Array, 
         z[tangent_arcs], tangent(program, path, tangent_arcs, end[tangent_arcs] - _TANGENT_OFFSET)
     )
     return x, sine < _PARALLEL_SINE
-
-
-def predecessors(program: Program) -> Ints:
-    """Return the motion (M,) at whose end each motion begins; −1 at the start of the program."""
-    return np.arange(len(program.motions)) - 1 if program.after is None else program.after
 
 
 def _last_motion_across(previous: Ints, is_undefined: Bools) -> Ints:
@@ -249,7 +244,7 @@ class Axes(Struct, frozen=True, eq=False):
         :returns: (M, 2, 3, m) in `$BASE` axes of each motion; zero at the start of the program.
         """
         bases, base_index = self.program.bases, self.program.motions.base
-        previous = predecessors(self.program)  # −1: the motion begins the program
+        previous = self.program.predecessors  # −1: the motion begins the program
         at_ends = columns.copy()
         rows = np.flatnonzero((frame == TOOL) | (frame == FEED))
         end_samples = at(self.program, self.path, rows, np.ones(len(rows)))

@@ -15,7 +15,6 @@ import numpy as np
 from msgspec.structs import replace
 
 from postproc.chunks import Runs, compact
-from postproc.forces.axes import predecessors
 from postproc.forces.path_forces import BEHIND_STEP, PathForces
 from postproc.forces.sources import Knots
 from postproc.frames import Array, any_column
@@ -46,7 +45,7 @@ def released_motions(program: Program, path: Segments, knots: Knots) -> Bools:
     last_knot = np.searchsorted(knots.motion, np.arange(len(m)), side="right") - 1
     has_force = ~m.rapid & any_column(knots.wrench.take(last_knot, axis=0) != 0.0)
     is_divisible = has_force & np.isin(m.kind, (LIN, CIRC))  # PTP and splines take no targets between their ends
-    previous = predecessors(program)
+    previous = program.predecessors
     while len(waiting_motions):
         is_released[waiting_motions] = is_divisible[waiting_motions]
         # a short motion has no force at all then, and that of the motion before ends
@@ -66,7 +65,7 @@ def released_motions(program: Program, path: Segments, knots: Knots) -> Bools:
 def _motions_before_joins(program: Program) -> list[list[int]]:
     """Return groups of motions: after which one of a group the next motion begins is not known before run time."""
     group_of_motion: dict[int, set[int]] = {}  # motion → the motions at whose ends it may begin
-    previous = predecessors(program)
+    previous = program.predecessors
     for motion, end in program.transitions:
         group_of_motion.setdefault(motion, {int(previous[motion])}).add(end)
     # the start of the program, −1, has no force
@@ -84,7 +83,7 @@ def with_releases(forces: PathForces, is_released: Bools, ramp: float) -> PathFo
     """
     if not is_released.any():
         return forces
-    length, previous = forces.axes.path.length, predecessors(forces.axes.program)
+    length, previous = forces.axes.path.length, forces.axes.program.predecessors
     is_long = length > _LEAST_LENGTH
     is_resumed = (previous >= 0) & is_released[previous] & ~forces.ramped & is_long  # the force rises from zero
     share = np.minimum(ramp / np.maximum(length, _LEAST_LENGTH), _LARGEST_SHARE)
