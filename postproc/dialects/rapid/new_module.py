@@ -52,9 +52,6 @@ from postproc.program import (
 )
 from postproc.version import VERSION
 
-_COMMENT = "!"
-_MODULE = re.compile(r"(?:\A|(?<=[\r\n]))[ \t]*MODULE[ \t][^\r\n]*(\r{0,2}\n|\r)", re.IGNORECASE)
-_OWN_NAME = re.compile(r"((?:MODULE[ \t]+mod_)|(?:PROC[ \t]+))[A-Za-z]\w*", re.ASCII)
 DECLARATION = re.compile(
     r"LOCAL (?:PERS|CONST) (tooldata|wobjdata|speeddata|zonedata) ([A-Za-z]\w*):=(\[[^;]*\]);", re.ASCII
 )
