@@ -126,6 +126,18 @@ def test_resume_in_another_file_is_seen_where_it_goes_back_to_the_program(declar
     assert ("RESUME of an interrupt may break it off; cut(), called in job.src" in told) is broken_off
 
 
+@pytest.mark.parametrize("places", [(20,), (10, 20)])
+def test_an_error_of_the_division_names_the_line_of_the_program_that_was_read(places):
+    subprograms(force=";FORCE OFF\n")
+    lines = Path("job.src").read_text().splitlines()
+    for place in places:  # each is line `place` of the program
+        lines.insert(place - 1, "INTERRUPT DECL 5 WHEN $IN[9] DO $OUT[1]=TRUE")
+    Path("job.src").write_text("\n".join(lines) + "\n")
+    message = run("convert", "job.src", "-o", "out", code=1).stderr
+    assert f"job.src:{places[0]}: the program cannot be divided" in message
+    assert "Declare it before the first motion. To have it in one file, set lines_per_file = 0" in message
+
+
 def test_the_file_of_a_subprogram_that_is_longer_than_files_may_be_is_told():
     subprograms()
     done = run("convert", "job.src", "-o", "out", "--json")

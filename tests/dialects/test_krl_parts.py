@@ -500,3 +500,11 @@ def test_data_of_the_controller_in_a_data_list_of_the_program_keep_their_name(tm
     again = KRL.read(written.documents, cell, forward, "partMain")
     assert len(again.motions) >= len(program.motions)
     np.testing.assert_array_equal(np.unique(again.bases, axis=0), np.unique(program.bases, axis=0))
+
+
+def test_the_line_of_an_error_of_a_new_program_is_said_to_be_that_of_the_written_one():
+    with pytest.raises(ProgramError) as caught:
+        in_some_files(source="\n".join(["DEF part( )", *["PTP XP1"] * 20, "GOTO AWAY", "AWAY:", "END", ""]))
+    assert caught.value.line is None
+    assert caught.value.text == "GOTO AWAY"
+    assert caught.value.problem.endswith("leads to another place of it (line 22 of the written program)")

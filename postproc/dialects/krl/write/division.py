@@ -31,7 +31,7 @@ from postproc.dialects.krl.language.tree import (
 from postproc.errors import Issue, ProgramError
 from postproc.program import Ints
 
-ADVICE = "Set lines_per_file = 0 in [output] of the cell to have it in one file."
+ADVICE = "To have it in one file, set lines_per_file = 0 in [output] of the cell."
 _CLOSING = frozenset({*OPENING.values(), "UNTIL", "ENDSPLINE"})
 _OPENING = frozenset({*OPENING, "REPEAT", *SPLINES})
 
@@ -116,7 +116,7 @@ def _check_divisible(source: Source, line: int, stmt: Statement, first_motion: i
         raise division_error(source, f"{stmt.word} leads to another place of it", line)
     if first_motion and isinstance(stmt, Event) and stmt.is_declaration and not stmt.is_global:
         problem = "an interrupt that is not GLOBAL is declared behind the first motion"
-        raise division_error(source, problem, line, f"Declare it before the first motion, or: {ADVICE}")
+        raise division_error(source, problem, line, f"Declare it before the first motion. {ADVICE}")
 
 
 def part_bounds(

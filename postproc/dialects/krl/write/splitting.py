@@ -35,7 +35,7 @@ from postproc.dialects.krl.language.tree import Definition
 from postproc.dialects.krl.write.division import division_error, find_cut_points, part_bounds
 from postproc.dialects.krl.write.edited_rows import line_text
 from postproc.dialects.krl.write.shared_names import DividedProgram, Sharing
-from postproc.errors import Issue, combined_error, first_of
+from postproc.errors import InputError, Issue, ProgramError, combined_error, first_of
 from postproc.program import Document, Ints, WrittenProgram
 
 
@@ -123,9 +123,41 @@ def split_files(
         output.documents[0].text.count("\n") < limit and len(Source.of(output.documents[0], SRC).starts) <= limit
     ):
         return output
-    if resume_place:
-        raise division_error(Source.of(output.documents[0], SRC), f"{_RESUME_PROBLEM}, in {resume_place}", 1)
-    return _Splitter(name, output, limit, used_names).write()
+    try:
+        if resume_place:
+            raise division_error(Source.of(output.documents[0], SRC), f"{_RESUME_PROBLEM}, in {resume_place}", 1)
+        return _Splitter(name, output, limit, used_names).write()
+    except ProgramError as error:
+        raise _error_in_program(error, documents, output.documents[0]) from None
+
+
+def _error_in_program(error: InputError, documents: Sequence[Document], written: Document) -> ProgramError:
+    """Return an error about the written text of a program as one about the program that was read.
+
+    The writer keeps statements other than motions, and their order: of lines with one text, the first that was written
+    is the first that was read, and so on. Where their numbers differ, and for new programs, the problem says that the
+    line is that of the written program.
+
+    :param documents: files from which a KRL program was read; empty for a new program.
+    :param written: the document that the error is about.
+    """
+    written_lines = _lines_with_text(written, error.text)
+    read_lines = next((_lines_with_text(read, error.text) for read in documents if read.name == written.name), [])
+    if error.line in written_lines and len(read_lines) == len(written_lines):
+        line, problem = read_lines[written_lines.index(error.line)], error.problem
+    else:
+        line, problem = None, f"{error.problem} (line {error.line} of the written program)"
+    further_errors = [_error_in_program(further, documents, written) for further in error.further_errors]
+    return ProgramError(
+        problem, file=error.file, line=line, text=error.text, advice=error.advice, further_errors=further_errors
+    )
+
+
+def _lines_with_text(document: Document, text: str | None) -> list[int]:
+    """Return the 1-based lines of a document that read like a text, blanks around it aside."""
+    source = Source.of(document, SRC)
+    lines = (document.text[start:stop].strip() for start, stop in zip(source.starts, source.stops, strict=True))
+    return [] if text is None else [line for line, line_text in enumerate(lines, 1) if line_text == text.strip()]
 
 
 def _restore_files(documents: Sequence[Document], output: WrittenProgram, limit: int) -> WrittenProgram:
