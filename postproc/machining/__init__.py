@@ -5,7 +5,7 @@ them from a small table instead. Both use the process that `load` reads from pro
 """
 
 from postproc.machining.estimate import ProcessForces, estimate
-from postproc.machining.material import Entry, table
+from postproc.machining.material import Entry, kienzle_coefficients, linear_coefficients, table
 from postproc.machining.process import Process, load
 from postproc.machining.profiles import knots_by_line
 from postproc.machining.source import ProcessSource, operation_knots
@@ -20,7 +20,9 @@ __all__ = [
     "ProcessSource",
     "Shift",
     "estimate",
+    "kienzle_coefficients",
     "knots_by_line",
+    "linear_coefficients",
     "load",
     "operation_knots",
     "table",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -29,10 +29,19 @@ Axial = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 """Positive towards the spindle."""
 
 
+_LINEAR_KEYS = ("Ktc_N_per_mm2", "Krc_N_per_mm2", "Kac_N_per_mm2")
+_EDGE_KEYS = ("Kte_N_per_mm", "Kre_N_per_mm", "Kae_N_per_mm")
+"""Either law may have them."""
+_KIENZLE_KEYS = ("kc11_N_per_mm2", "mc", "radial_ratio", "axial_ratio")
+_RADIAL_RATIO = 0.3
+"""Radial by tangential force of Kienzle's law where it is not stated (assumed)."""
+
+
 class MaterialTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
     """`[material]` of process.toml, and one entry of the built-in table; N/mm² and N/mm.
 
     Either the name of an entry, or Ktc (and the other five), or kc1.1 and mc, or a file of `postproc identify forces`.
+    With coefficients, a name that is no entry is a label. What is left out is 0, and `radial_ratio` 0.3.
 
     :param Kac_N_per_mm2: and Kae_N_per_mm: axial, positive towards the spindle; < 0 if they pull it out.
     :param file: material.toml with a `[material]` of its own, next to the process file.
@@ -41,15 +50,15 @@ class MaterialTable(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
 
     name: str | None = None
     Ktc_N_per_mm2: Coefficient | None = None
-    Krc_N_per_mm2: Coefficient = 0.0
-    Kac_N_per_mm2: Axial = 0.0
-    Kte_N_per_mm: Coefficient = 0.0
-    Kre_N_per_mm: Coefficient = 0.0
-    Kae_N_per_mm: Axial = 0.0
+    Krc_N_per_mm2: Coefficient | None = None
+    Kac_N_per_mm2: Axial | None = None
+    Kte_N_per_mm: Coefficient | None = None
+    Kre_N_per_mm: Coefficient | None = None
+    Kae_N_per_mm: Axial | None = None
     kc11_N_per_mm2: Coefficient | None = None
     mc: Annotated[float, msgspec.Meta(ge=0, lt=1)] | None = None
-    radial_ratio: Annotated[float, msgspec.Meta(ge=0, le=2)] = 0.3
-    axial_ratio: Annotated[float, msgspec.Meta(ge=0, le=2)] = 0.0
+    radial_ratio: Annotated[float, msgspec.Meta(ge=0, le=2)] | None = None
+    axial_ratio: Annotated[float, msgspec.Meta(ge=0, le=2)] | None = None
     sigma_percent: Annotated[float, msgspec.Meta(ge=0, le=200)] | None = None
     file: str | None = None
 
@@ -211,10 +220,11 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
         material, covariance = _material_of_file(material, Path(file).parent / material.file, file)
     entry = _named_entry(material, table(), file)
     tangential, radial, axial = _cutting_coefficients(entry, file)
-    has_axial_force = bool(axial or entry.Kae_N_per_mm)
+    tangential_edge, radial_edge, axial_edge = linear_coefficients(entry)[3:]
+    has_axial_force = bool(axial or axial_edge)
     return CuttingLaw(
         cutting=(tangential * _PER_MM2, radial * _PER_MM2, axial * _PER_MM2),
-        edge=(entry.Kte_N_per_mm * _PER_MM, entry.Kre_N_per_mm * _PER_MM, entry.Kae_N_per_mm * _PER_MM),
+        edge=(tangential_edge * _PER_MM, radial_edge * _PER_MM, axial_edge * _PER_MM),
         exponent=entry.mc or 0.0,
         sigma=_sigma_percent(material, entry) / 100.0,
         name=material.name or "given in [material]",
@@ -224,20 +234,41 @@ def law(material: MaterialTable, file: str) -> CuttingLaw:
     )
 
 
+def linear_coefficients(material: MaterialTable) -> tuple[float, ...]:
+    """Return Ktc, Krc, Kac [N/mm²], Kte, Kre, Kae [N/mm] of a material; 0 for each that it does not state."""
+    return tuple(getattr(material, key) or 0.0 for key in (*_LINEAR_KEYS, *_EDGE_KEYS))
+
+
+def kienzle_coefficients(material: MaterialTable) -> tuple[float, float, float, float]:
+    """Return kc1.1 [N/mm²], mc, and the ratios of the radial and the axial force to the tangential one."""
+    radial_ratio = _RADIAL_RATIO if material.radial_ratio is None else material.radial_ratio
+    return material.kc11_N_per_mm2 or 0.0, material.mc or 0.0, radial_ratio, material.axial_ratio or 0.0
+
+
 def _cutting_coefficients(material: MaterialTable, file: str) -> tuple[float, float, float]:
     """Return the tangential, radial and axial cutting coefficient of a material [N/mm²].
 
     :param material: Ktc, Krc, Kac of the linear law; or kc1.1, the ratios to it, and mc of Kienzle's law.
     :param file: path of the process file, for the message.
-    :raises ForceError: the material has neither Ktc nor kc1.1, or both; or one of kc1.1 and mc without the other.
+    :raises ForceError: the material has neither Ktc nor kc1.1, or keys of both laws; or one of kc1.1 and mc alone.
     """
-    linear, kienzle = material.Ktc_N_per_mm2, material.kc11_N_per_mm2
-    if linear is not None and kienzle is None and material.mc is None:
-        return linear, material.Krc_N_per_mm2, material.Kac_N_per_mm2
-    if linear is None and kienzle is not None and material.mc is not None:
-        return kienzle, kienzle * material.radial_ratio, kienzle * material.axial_ratio
+    linear_keys, kienzle_keys = _stated_keys(material, _LINEAR_KEYS), _stated_keys(material, _KIENZLE_KEYS)
+    if linear_keys and kienzle_keys:
+        advice = f"Remove {' and '.join(kienzle_keys)}, or {' and '.join(linear_keys)}."
+        raise ForceError("[material] has coefficients of two cutting laws", file=file, advice=advice)
+    if material.Ktc_N_per_mm2 is not None:
+        tangential, radial, axial, *_ = linear_coefficients(material)
+        return tangential, radial, axial
+    if material.kc11_N_per_mm2 is not None and material.mc is not None:
+        kc11, _, radial_ratio, axial_ratio = kienzle_coefficients(material)
+        return kc11, kc11 * radial_ratio, kc11 * axial_ratio
     advice = "Give the name of a material, or Ktc_N_per_mm2, Krc_N_per_mm2 … Kae_N_per_mm, or kc11_N_per_mm2 and mc."
     raise ForceError("[material] does not say how it cuts", file=file, advice=advice)
+
+
+def _stated_keys(material: MaterialTable, keys: Sequence[str]) -> list[str]:
+    """Return those of some keys that a material states."""
+    return [key for key in keys if getattr(material, key) is not None]
 
 
 def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable], file: str) -> MaterialTable:
@@ -245,11 +276,14 @@ def _named_entry(material: MaterialTable, materials: Mapping[str, MaterialTable]
 
     :param materials: the built-in materials by name.
     :param file: path of the process file, for the message.
-    :raises ForceError: an unknown name.
+    :raises ForceError: an unknown name, or the name of an entry together with coefficients.
     """
-    has_coefficients = material.Ktc_N_per_mm2 is not None or material.kc11_N_per_mm2 is not None
-    if material.name is None or has_coefficients:
+    keys = _stated_keys(material, (*_LINEAR_KEYS, *_EDGE_KEYS, *_KIENZLE_KEYS))
+    if material.name is None or (keys and material.name not in materials):
         return material
+    if keys:  # one of both would be dropped silently
+        problem = f"[material] name = {material.name!r} has coefficients of its own in the table of materials"
+        raise ForceError(problem, file=file, advice=f"Remove {' and '.join(keys)}, or call the material otherwise.")
     if material.name not in materials:
         advice = f"{choices(str(material.name), materials)} Or give Ktc_N_per_mm2 … or kc11_N_per_mm2 and mc."
         raise ForceError(f"[material] name: no material {material.name!r}", file=file, advice=advice)
@@ -279,7 +313,7 @@ def _material_of_file(
     :param process_file: path of the process, for messages.
     :raises ForceError: the process has values too, or the file is no material file, or its covariance is invalid.
     """
-    if material.name or material.Ktc_N_per_mm2 or material.kc11_N_per_mm2:
+    if material.name or _stated_keys(material, (*_LINEAR_KEYS, *_EDGE_KEYS, *_KIENZLE_KEYS)):
         raise ForceError("[material] file together with values", file=process_file, advice="Give one of them.")
     content = files.read_toml(path, dict[str, IdentifiedTable], ForceError)
     if set(content) != {"material"} or content["material"].file is not None:

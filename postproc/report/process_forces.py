@@ -15,7 +15,7 @@ from postproc.errors import Issue
 from postproc.files import FileEntry, json_bytes
 from postproc.forces import Knots
 from postproc.frames import MM_PER_M
-from postproc.machining import Entry, ProcessForces
+from postproc.machining import Entry, ProcessForces, kienzle_coefficients, linear_coefficients
 from postproc.program import FORCE_FRAMES, Program, distinct
 from postproc.report.summary import IssueEntry, issue_entry
 from postproc.version import VERSION
@@ -168,15 +168,12 @@ def materials(entries: dict[str, Entry]) -> str:
     for name, entry in entries.items():
         lines.append(f"{name}: {entry.title}{' (assumed)' if entry.assumed else ''}, sigma {entry.sigma_percent:g} %")
         if entry.Ktc_N_per_mm2 is not None:
-            lines.append(
-                f"  Ktc {entry.Ktc_N_per_mm2:g}, Krc {entry.Krc_N_per_mm2:g}, Kac {entry.Kac_N_per_mm2:g} N/mm²; "
-                f"Kte {entry.Kte_N_per_mm:g}, Kre {entry.Kre_N_per_mm:g}, Kae {entry.Kae_N_per_mm:g} N/mm"
-            )
+            ktc, krc, kac, kte, kre, kae = linear_coefficients(entry)
+            lines.append(f"  Ktc {ktc:g}, Krc {krc:g}, Kac {kac:g} N/mm²; Kte {kte:g}, Kre {kre:g}, Kae {kae:g} N/mm")
         else:
-            lines.append(
-                f"  kc1.1 {entry.kc11_N_per_mm2:g} N/mm², mc {entry.mc:g}; radial {entry.radial_ratio:g}, "
-                f"axial {entry.axial_ratio:g} of the tangential force"
-            )
+            kc11, mc, radial, axial = kienzle_coefficients(entry)
+            shares = f"radial {radial:g}, axial {axial:g} of the tangential force"
+            lines.append(f"  kc1.1 {kc11:g} N/mm², mc {mc:g}; {shares}")
         lines.append(f"  source: {entry.source}")
         if entry.warning:
             lines.append(f"  warning: {entry.warning}")

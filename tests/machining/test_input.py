@@ -230,6 +230,15 @@ def test_a_rapid_move_through_material_is_told_with_its_line(tmp_path):
         (("diameter_mm", "diametre_mm"), "unknown key 'diametre_mm' in [tools.1]"),
         (("al_7075_t6_carbide", "unobtainium"), "no material 'unobtainium'"),
         (('name = "al_7075_t6_carbide"', "mc = 0.3"), "[material] does not say how it cuts"),
+        (
+            ('name = "al_7075_t6_carbide"', 'name = "al_7075_t6_carbide"\nKrc_N_per_mm2 = 0.0'),
+            "[material] name = 'al_7075_t6_carbide' has coefficients of its own in the table of materials. "
+            "Remove Krc_N_per_mm2, or call the material otherwise.",
+        ),
+        (
+            ('name = "al_7075_t6_carbide"', 'name = "ours"\nKtc_N_per_mm2 = 700.0\nmc = 0.27'),
+            "[material] has coefficients of two cutting laws. Remove mc, or Ktc_N_per_mm2.",
+        ),
         (("[tools.1]", "[tools.-1]"), "'-1' is not a tool number"),
         (("[tools.1]", "[tools.T1]"), "tool T1 is not in"),
         (("X = [0.0, 100.0]", "X = [100.0, 0.0]"), "is not from smaller to larger"),

@@ -104,9 +104,9 @@ def test_a_coefficient_below_one_is_asked_about(value, is_warned):
     [
         (MaterialTable(name="aluminum"), "no material 'aluminum'"),
         (MaterialTable(), "does not say how it cuts"),
-        (MaterialTable(Ktc_N_per_mm2=1.0, kc11_N_per_mm2=1.0, mc=0.2), "does not say how it cuts"),
+        (MaterialTable(Ktc_N_per_mm2=1.0, kc11_N_per_mm2=1.0, mc=0.2), "has coefficients of two cutting laws"),
         (MaterialTable(kc11_N_per_mm2=1.0), "does not say how it cuts"),
-        (MaterialTable(Ktc_N_per_mm2=1.0, mc=0.2), "does not say how it cuts"),
+        (MaterialTable(Ktc_N_per_mm2=1.0, mc=0.2), "has coefficients of two cutting laws"),
         (MaterialTable(file="m.toml", name=NAME), "file together with values"),
         (MaterialTable(file="m.toml", Ktc_N_per_mm2=1.0), "file together with values"),
         (MaterialTable(file="m.toml", kc11_N_per_mm2=1.0, mc=0.2), "file together with values"),
