@@ -853,6 +853,13 @@ def test_relative_motions_with_their_frame_behind_the_approximation():
     assert source[4].rstrip() == "LIN {X 100.0000,Y 20.0000,Z 41.0000,A 10.00000,B 20.00000,C 170.00000} C_DIS"
 
 
+def test_the_value_of_an_assignment_of_with_is_not_the_frame_of_a_relative_motion():
+    program = read_lines(FULL, "SLIN_REL {Z 10} WITH $ACC.CP=#TOOL")
+    np.testing.assert_allclose(numbers(program)[1, :3], [100, 20, 40])
+    with pytest.raises(ProgramError, match=r"0\.1 #TOOL"):
+        read_lines(FULL, "SLIN_REL {Z 10} WITH $VEL.CP=0.1 #TOOL")
+
+
 def pose_x(found):
     return found.motions.target[0, :3, 0]
 

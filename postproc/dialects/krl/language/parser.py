@@ -362,12 +362,9 @@ def _relative_axes(text: str, start: int, stop: int) -> _RelativeAxes:
         return _RelativeAxes(frame, span=None, tail_start=frame_start + len(frame), tail_stop=stop)
     frame_start = text.rfind("#", start, stop)
     frame = text[frame_start:stop].upper() if frame_start >= 0 else ""
-    if frame not in FRAMES:
+    if frame not in FRAMES or not _is_approximation(text, start, frame_start):  # else e.g. the value of WITH
         return _without_axes(start, stop)
-    if _is_approximation(text, start, frame_start):
-        return _RelativeAxes(frame, span=Span(frame_start, stop), tail_start=start, tail_stop=frame_start)
-    # it follows other text than an approximation: it stays in the tail
-    return _RelativeAxes(frame, span=None, tail_start=start, tail_stop=stop)
+    return _RelativeAxes(frame, span=Span(frame_start, stop), tail_start=start, tail_stop=frame_start)
 
 
 def _point(source: Source, start: int, stop: int) -> tuple[Value, int]:
