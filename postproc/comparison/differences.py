@@ -40,7 +40,7 @@ from postproc.comparison.settings import (
     setting_differences,
 )
 from postproc.comparison.statements import statement_differences
-from postproc.correction.targets import corners_of_motions
+from postproc.correction.targets import Corners, corners_of_motions
 from postproc.errors import Level
 from postproc.frames import DEG_PER_RAD, M_PER_MM, MM_PER_M, Array, angle_between, norm
 from postproc.program import CIRC, LIN, PTP, Ints, Program, distinct
@@ -609,7 +609,7 @@ def _cut_corners(
         return
     corners = corners_of_motions(corrected_path.program, corrected_path.segments, rows)
     rounding = corners.rounding(comparison.corrected.motions.blend[rows])
-    allowed_rounding = _allowed_rounding(comparison, nominal_path, rows)
+    allowed_rounding = _allowed_rounding(comparison, nominal_path, rows, corners)
     excess = rounding - allowed_rounding
     cut_corners = np.flatnonzero(excess > nominal_path.robot_in_cell.tolerance + _EXCESS_MARGIN)
     if len(cut_corners):
@@ -631,13 +631,15 @@ def _cut_corners(
         yield difference_at(comparison, "between", message, worst_rows, len(cut_corners), level=level)
 
 
-def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints) -> Array:
+def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows: Ints, corners: Corners) -> Array:
     """Return how much rounding (n,) [m] of the second program's targets the nominal program allows.
 
     G-code and APT: the tolerance that G64 or the cell states; 0 at exact stops. KRL and RAPID: the rounding by the
-    approximation distance of the nominal program. 0 at targets that the nominal program does not have.
+    approximation distance of the nominal program. A target that the nominal program does not have may be rounded in
+    KRL and RAPID by the distance of the pair behind it, which convert gives it; in G-code and APT not at all.
 
     :param rows: (n,) motions of the second program, ascending; the motions of all pairs are among them.
+    :param corners: of the second program, at `rows`.
     """
     m, (nominal_rows, corrected_rows) = comparison.nominal.motions, comparison.pair.T
     allowed_rounding = np.zeros(len(rows))
@@ -646,8 +648,10 @@ def _allowed_rounding(comparison: Comparison, nominal_path: PlacedProgram, rows:
         programmed_rounding = np.where(m.blend > 0.0, m.rounding, 0.0)
         allowed_rounding[index_of_pair] = programmed_rounding[nominal_rows]
         return allowed_rounding
-    corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
-    allowed_rounding[index_of_pair] = corners.rounding(m.blend)[nominal_rows]
+    next_pair = np.minimum(np.searchsorted(corrected_rows, rows), len(corrected_rows) - 1)
+    allowed_rounding = corners.rounding(m.blend[nominal_rows[next_pair]])
+    nominal_corners = corners_of_motions(nominal_path.program, nominal_path.segments, np.arange(len(m)))
+    allowed_rounding[index_of_pair] = nominal_corners.rounding(m.blend)[nominal_rows]
     return allowed_rounding
 
 

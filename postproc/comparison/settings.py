@@ -48,10 +48,7 @@ def setting_differences(
     """Yield the settings of paired motions that differ: speed, kind, approximation, axes, turn, orientation, frames."""
     pairs = np.flatnonzero(comparison.speed_differs)
     if len(pairs):
-        nominal_speed, corrected_speed = comparison.speeds[pairs[0]] * MM_PER_M
-        yield pair_warning(
-            comparison, "speed", f"the speed is {corrected_speed:.4g} mm/s instead of {nominal_speed:.4g} mm/s.", pairs
-        )
+        yield pair_warning(comparison, "speed", f"the speed is {_speeds_text(comparison.speeds[pairs[0]])}.", pairs)
     yield from _kind_differences(comparison)
     yield from _approximation_differences(comparison)
     yield from _external_axis_differences(comparison)
@@ -63,14 +60,22 @@ def setting_differences(
 
 def lowered_feed_notes(comparison: Comparison) -> Iterator[Difference]:
     """Yield the feeds that the conversion has lowered, for information."""
-    nominal_speed, corrected_speed = comparison.speeds.T * MM_PER_M
+    nominal_speed, corrected_speed = comparison.speeds.T
     pairs = np.flatnonzero(comparison.speed_differs & (corrected_speed < nominal_speed))
     if len(pairs):
         lowest = pairs[np.argmin(corrected_speed[pairs] / nominal_speed[pairs])]
-        speeds = f"{corrected_speed[lowest]:.4g} mm/s instead of {nominal_speed[lowest]:.4g} mm/s"
-        message = f"the conversion has lowered the feed: {speeds}."
+        message = f"the conversion has lowered the feed: {_speeds_text(comparison.speeds[lowest])}."
         places = difference_at(comparison, "speed", message, comparison.pair[lowest].tolist(), len(pairs))
         yield replace(places, level="info")
+
+
+def _speeds_text(speeds: Array) -> str:
+    """Return two speeds (2,) [m/s], the nominal one first, as text such as ``"30 mm/s instead of 20 mm/s"``."""
+    nominal, corrected = (
+        f"{speed:.4g} mm/s" if speed < 9999.5 else f"{speed:.0f} mm/s"  # g writes larger ones with an exponent
+        for speed in (speeds * MM_PER_M).tolist()
+    )
+    return f"{corrected} instead of {nominal}"
 
 
 def _kind_differences(comparison: Comparison) -> Iterator[Difference]:

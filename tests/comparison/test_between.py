@@ -197,6 +197,21 @@ def test_a_corner_cut_by_more_than_the_robot_would_deflect_is_not_to_be_run(dist
         assert cut == pytest.approx(distance * math.sqrt(2.0) / 4.0, rel=2e-2)
 
 
+def test_a_corner_that_convert_rounds_is_no_difference_after_another_edit():
+    """The robot releases the correction before a stop at an inserted target with the program's own C_DIS."""
+    force = ";FORCE FX=-400 FY=250 FZ=150"
+    program = write_program("ONE", "$APO.CDIS=0.2", force, f"{lin(40, 0)} C_DIS", "WAIT SEC 1", lin(40, 30))
+    convert_in_cell("ONE.src", CELL_TEXT)
+    text = Path("out/ONE.src").read_text()
+    before_wait = text.split("WAIT SEC 1")[0].splitlines()[-3:]
+    assert before_wait[0].endswith("C_DIS")
+    assert before_wait[1] == ";FORCE OFF"
+    for edit in ("; checked", "$VEL.CP=0.011"):
+        Path("OTHER.src").write_text(text.replace("WAIT SEC 1", f"WAIT SEC 1\n{edit}"))
+        content, _ = compared(program, "OTHER.src", code=3)
+        assert not [issue for issue in content["issues"] if "cuts the corner" in issue["message"]]
+
+
 CARRIED = CELL_TEXT + "\n[external_axes.E1]\ndirection = [0, 1, 0]\n"
 
 

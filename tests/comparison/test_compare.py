@@ -214,15 +214,16 @@ def test_one_edited_digit_fails_the_comparison(digit):
     assert "was changed since postproc wrote it" in content["verdict"]["reasons"][0]
 
 
-def test_a_changed_speed_is_named_with_both_lines():
+@pytest.mark.parametrize(("speed", "speed_text"), [("0.04", "40"), ("20", "20000")])
+def test_a_changed_speed_is_named_with_both_lines(speed, speed_text):
     text = corrected_text()
     first = re.search(r"\$VEL\.CP ?= ?0\.0250*\b.*", text)
     assert first is not None
-    content = compare("part.nc", edited(text, first[0], "$VEL.CP=0.04"), code=3)
+    content = compare("part.nc", edited(text, first[0], f"$VEL.CP={speed}"), code=3)
     assert content["differences"]["speed"] >= 1
     (issue,) = [issue for issue in content["issues"] if issue["kind"] == "speed"]
     assert issue["source_line"] == 6
-    assert "40 mm/s instead of 25 mm/s" in issue["message"]
+    assert f" {speed_text} mm/s instead of 25 mm/s" in issue["message"]
     assert content["offset"]["max_mm"] < 1.0
 
 

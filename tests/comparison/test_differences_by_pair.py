@@ -196,7 +196,8 @@ def test_corners_are_rounded_by_no_more_than_the_nominal_program_allows(monkeypa
     partner = {int(second): int(first) for first, second in found.pair}
     excess, allowances = {}, {}
     for row in sorted({*partner, *found.inserted_rows.tolist()}):
-        allowed = 0.0
+        next_partner = partner[min((second for second in partner if second >= row), default=max(partner))]
+        allowed = rounding(1, row, nominal.motions.blend[next_partner]) if keeps_text else 0.0
         if row in partner:
             first = partner[row]
             allowed = nominal.motions.rounding[first] if nominal.motions.blend[first] > 0.0 else 0.0
