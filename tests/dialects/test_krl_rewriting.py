@@ -502,10 +502,10 @@ def test_a_point_used_twice_with_different_corrections_becomes_two():
 
 def test_new_names_are_free_and_short_enough():
     name = "XPOINT_WITH_24_CHARACTRS"
-    data = f"DEFDAT part\nDECL E6POS {name}={{X 1,Y 2,Z 3,A 4,B 5,C 6}}\nDECL INT {name[:-2]}_2=5\nENDDAT\n"
+    data = f"DEFDAT part\nDECL E6POS {name}={{X 1,Y 2,Z 3,A 4,B 5,C 6}}\nDECL INT {name[:17]}_18D4_2=5\nENDDAT\n"
     (src, dat), _ = rewritten(body(f"LIN {name}", FULL, f"LIN {name}"), data, raised=[0])
-    assert src[3] == f"LIN {name[:-2]}_3"
-    assert dat[2].startswith(f"DECL E6POS {name[:-2]}_3={{X 1.0000,")
+    assert src[3] == f"LIN {name[:17]}_18D4_3"
+    assert dat[2].startswith(f"DECL E6POS {name[:17]}_18D4_3={{X 1.0000,")
 
 
 def test_a_point_that_is_also_used_otherwise_stays_as_it_is():
