@@ -132,9 +132,11 @@ def test_an_error_of_the_division_names_the_line_of_the_program_that_was_read(pl
     lines = Path("job.src").read_text().splitlines()
     for place in places:  # each is line `place` of the program
         lines.insert(place - 1, "INTERRUPT DECL 5 WHEN $IN[9] DO $OUT[1]=TRUE")
-    Path("job.src").write_text("\n".join(lines) + "\n")
-    message = run("convert", "job.src", "-o", "out", code=1).stderr
-    assert f"job.src:{places[0]}: the program cannot be divided" in message
+    Path("jobs").mkdir()
+    Path("jobs/job.src").write_text("\n".join(lines) + "\n")
+    Path("cut.src").rename("jobs/cut.src")
+    message = run("convert", "jobs/job.src", "-o", "out", code=1).stderr
+    assert f"jobs/job.src:{places[0]}: the program cannot be divided" in message
     assert "Declare it before the first motion. To have it in one file, set lines_per_file = 0" in message
 
 

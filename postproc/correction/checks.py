@@ -363,20 +363,30 @@ def joint_speed_issues(program: Program, robot: RobotModel, sample: Toolpath, sp
     is_too_fast = speed > robot.speed
     for axis, name in enumerate(JOINTS):
         for is_of_group, feed_name, advice in (
-            (~rapid, "the programmed feed", "Lower the feed to {feed} mm/min"),
+            (~rapid, "the programmed feed", "Lower the feed to {feed}"),
             (rapid, "the speed of rapid moves", "Lower rapid_m_per_s in [gcode] of the cell"),
         ):
             is_fast = is_of_group & is_too_fast[:, axis]
             if not is_fast.any():
                 continue
             turning_speed = speed[np.flatnonzero(is_fast), axis]
-            allowable_feed = float((feed[is_fast] * robot.speed[axis] / turning_speed).min()) * MM_PER_MIN
-            advice = advice.format(feed=_round_down(allowable_feed))
+            allowable_feed = float((feed[is_fast] * robot.speed[axis] / turning_speed).min())
+            advice = advice.format(feed=_feed_text(allowable_feed, program.dialect))
             message = (
                 f"{name} would turn at {turning_speed.max() * DEG_PER_RAD:.0f}°/s at {feed_name} (limit "
                 f"{robot.speed[axis] * DEG_PER_RAD:.0f}°/s). {advice} or turn the tool about its axis."
             )
             yield from _issue_of_rows(program, sample.motion, is_fast, f"{JOINT_SPEED}{name}", message, level)
+
+
+_FEED_UNITS = {"krl": (1.0, "m/s ($VEL.CP)"), "rapid": (MM_PER_M, "mm/s")}
+"""Format of a program → units of its feeds in one m/s, and their name; of all others mm/min."""
+
+
+def _feed_text(feed: float, dialect: str) -> str:
+    """Return a feed [m/s] as text, rounded down to two digits, in the unit in which a program of a format states it."""
+    factor, unit = _FEED_UNITS.get(dialect, (MM_PER_MIN, "mm/min"))
+    return f"{_round_down(feed * factor)} {unit}"
 
 
 def _round_down(value: float) -> str:

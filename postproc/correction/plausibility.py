@@ -143,7 +143,7 @@ def force_questions(program: Program, forces: PathForces, cell: Cell, robot: Rob
         name = robot.title or robot.name
         message = (
             f"a force of {size.max():.0f} N: {name} carries {rating:g} kg, which is {rating * GRAVITY:.0f} N. "
-            "Are the forces in N? If they are, machine with smaller ones"
+            f"{_force_advice(program, forces)}"
         )
         level: Level = "warning" if size.max() > _OVERLOAD * rating * GRAVITY else "info"
         yield m.issue(level, "force-rating", message, distinct(motion[too_strong]))
@@ -157,6 +157,15 @@ def force_questions(program: Program, forces: PathForces, cell: Cell, robot: Rob
             f"{moment[row] / size[row]:.2g} m. Are these N·mm? MX, MY and MZ are read in N·m, about the tip"
         )
         yield m.issue("warning", "moment-unit", message, distinct(motion[too_long]))
+
+
+def _force_advice(program: Program, forces: PathForces) -> str:
+    """Return what to check where a force is larger than the robot carries: a computed one is that of its feed."""
+    if forces.law_forces is None:
+        return "Are the forces in N? If they are, machine with smaller ones"
+    if any(issue.kind == "default-speed" for issue in program.issues):
+        return "The force is computed with a speed that is assumed, since $VEL.CP is not set: set it before the cuts"
+    return "Check feed, tool and stock of the cut. If they are right, machine with smaller cuts"
 
 
 def _feed_and_spindle_questions(program: Program, cell: Cell, rows: Ints) -> Iterator[Issue]:

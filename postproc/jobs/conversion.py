@@ -666,6 +666,8 @@ def failure(job: Job, cause: Exception) -> Outcome:
     postproc: its outcome has the traceback too.
     """
     program = str(job.program)
+    if isinstance(cause, InputError):
+        cause = cause.with_file(job.program.name, program)  # the errors of one program name it alike
     if isinstance(cause, PostprocError):
         return Outcome(program, FAILED, message=str(cause))
     if isinstance(cause, MemoryError):

@@ -623,8 +623,10 @@ def make_forces(request: ForcesRequest, progress: Callable[[int, int], None] | N
         refuse(find_foreign_files(outputs.folder, outputs.names, outputs.record))
     try:
         return _computed_forces(request, outputs, progress)
-    except PostprocError:
+    except PostprocError as cause:
         _retire_outputs(outputs)
+        if isinstance(cause, InputError):
+            raise cause.with_file(request.program.name, str(request.program)) from cause
         raise
 
 

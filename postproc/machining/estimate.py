@@ -737,6 +737,8 @@ def _check_spindle_speed(program: Program, segments: StraightSegments, tools: To
             "the spindle is never started",
             "Give S and M3 in the program, or [tools.n] rpm in the process file.",
         )
+        if program.keeps_text:  # a robot program states no spindle speed
+            problem, advice = "the spindle speed is not known", "Give rpm in [tools.n] of the process file."
         if any(event.value > 0.0 for event in start_events) and stop_lines:
             problem, advice = (
                 f"the cuts begin with the spindle off: line {stop_lines[-1]} stops it",

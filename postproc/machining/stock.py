@@ -101,7 +101,8 @@ class Stock(Struct, frozen=True, eq=False):
     @property
     def material_bounds(self) -> MapBounds:
         """The outer edges of the cells with material; those of the height map if there are none."""
-        is_solid = self.high > self.floor
+        # a cell beside a box may be covered by no more than rounding: all of it is at the lower level then
+        is_solid = (self.high > self.floor) & ((self.share < 1.0) | (self.low > self.floor))
         columns, rows = np.flatnonzero(is_solid.any(axis=0)), np.flatnonzero(is_solid.any(axis=1))
         if not len(columns):
             return self.bounds

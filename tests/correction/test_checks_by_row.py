@@ -329,6 +329,11 @@ def test_joints_that_are_too_fast_are_named_with_the_feed_that_is_slow_enough(is
     assert "Lower rapid_m_per_s in [gcode] of the cell" in issues[1].message
 
 
+@pytest.mark.parametrize(("dialect", "feed"), [("gcode", "1200 mm/min"), ("krl", "0.02 m/s"), ("rapid", "20 mm/s")])
+def test_feeds_are_in_the_unit_of_the_program(dialect, feed):
+    assert checks._feed_text(0.02, dialect).startswith(feed)
+
+
 @pytest.mark.parametrize(
     ("value", "words"), [(1999.9, "1900"), (2000.0, "2000"), (0.0129, "0.012"), (9.99, "9.9"), (10.0, "10")]
 )

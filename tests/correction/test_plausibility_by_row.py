@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from postproc import frames
 from postproc.chunks import Runs
 from postproc.correction import plausibility
+from postproc.errors import Issue
 from postproc.program import Event
 from tests.kr270 import CELL, ROBOT
 from tests.programs import program
@@ -81,7 +82,7 @@ def forces_of(rng, made, rating):
         wrench[k, 3:] = size * rng.choice([0.1, 0.49, 0.51]) * direction / np.linalg.norm(direction)
         wrench[k, 3] += 5.0 * (size == 0.0 and rng.random() < 0.5)
     return (
-        SimpleNamespace(first=np.append(0, np.cumsum(counts)), wrench=Runs.of(wrench)),
+        SimpleNamespace(law_forces=None, first=np.append(0, np.cumsum(counts)), wrench=Runs.of(wrench)),
         wrench,
         np.repeat(np.arange(COUNT), counts),
     )
@@ -110,6 +111,20 @@ def test_forces_beyond_the_rating_and_levers_beyond_half_a_metre_are_asked_about
     issues = list(plausibility.force_questions(made, path_forces, CELL, ROBOT))
     assert [(issue.level, issue.kind, lines(issue)) for issue in issues] == [entry[:3] for entry in expected]
     assert all(words in issue.message for issue, (_, _, _, words) in zip(issues, expected, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("is_computed", "kinds", "advice"),
+    [
+        (False, ["default-speed"], "Are the forces in N?"),
+        (True, ["default-speed"], "a speed that is assumed, since $VEL.CP is not set"),
+        (True, [], "Check feed, tool and stock"),
+    ],
+)
+def test_a_computed_force_is_doubted_by_what_it_is_computed_from(is_computed, kinds, advice):
+    program = SimpleNamespace(issues=[Issue("info", kind, "") for kind in kinds])
+    forces = SimpleNamespace(law_forces=object() if is_computed else None)
+    assert advice in plausibility._force_advice(program, forces)
 
 
 @pytest.mark.parametrize("has_lines", [True, False])

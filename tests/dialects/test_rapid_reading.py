@@ -291,6 +291,12 @@ def test_what_changes_motion_and_is_not_known_is_refused(code, data, words):
     assert caught.value.advice
 
 
+def test_a_file_that_ends_too_early_is_said_to_be_incomplete():
+    whole = module([f"MoveL {at(0, 0, 20)}{tail()}"])
+    with pytest.raises(PostprocError, match="The file is not complete: write or copy it again"):
+        read(whole[: whole.index("MoveL") + 12])
+
+
 def test_what_a_trap_a_handler_or_an_unknown_branch_may_change_is_not_known():
     data = f"  VAR robtarget p:={at(0, 0, 20)};"
     move = f"MoveL p{tail()}"

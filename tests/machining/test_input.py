@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +13,12 @@ from msgspec.structs import replace
 
 from postproc.cell import Rotary, Tool
 from postproc.errors import ForceError
+from postproc.machining import stock
 from postproc.report import process_forces
+from tests.commands import printed
 from tests.kr270 import CELL
 from tests.machining.setting import forces, gcode, process, tool
+from tests.places import CELL_FILE
 
 BOX = ((0, 100), (-40, 40), (-20, 0))
 SLOT = ("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110")
@@ -31,12 +36,30 @@ def test_stock_elsewhere(tmp_path):
     assert "the stock within X 500 … 600, Y 0 … 80, top Z 0 mm" in told
 
 
+def test_the_extents_of_a_stock_are_those_of_its_box_whatever_is_rounded():
+    for low, high, cell in itertools.product((-7.0, -5.0, 0.1), (70.0, 80.0), (0.25, 0.3, 0.5)):
+        corners = np.array([[low, -30.0, -20.0], [high, 60.0, 0.0]]) * 1e-3
+        bounds = np.array(stock.from_box(*corners, cell * 1e-3).material_bounds) * 1e3
+        assert np.abs(bounds - [low, high, -30.0, 60.0]).max() < cell * (1.0 - 1e-6)
+
+
 def test_no_speed(tmp_path):
     assert "part.nc:3: the spindle is started without a speed" in refused(tmp_path, gcode(*SLOT, spindle="M3"))
 
 
 def test_no_spindle(tmp_path):
     assert "the spindle is never started" in refused(tmp_path, gcode(*SLOT, spindle="(none)"))
+
+
+@pytest.mark.parametrize("command", ["forces", "convert"])
+def test_an_error_of_the_process_names_the_program_by_its_path(tmp_path, monkeypatch, command):
+    monkeypatch.chdir(tmp_path)
+    Path("jobs").mkdir()
+    Path("jobs/part.nc").write_text(gcode(*SLOT, spindle="M3"))
+    Path("process.toml").write_text(process(tool(10, 4), BOX, 1.0))
+    output = {"forces": "part.csv", "convert": "out"}[command]
+    message = printed(command, "jobs/part.nc", "--process", "process.toml", "-o", output, code=1, cell=CELL_FILE)
+    assert "Error: jobs/part.nc:3: the spindle is started without a speed" in message.replace("\\", "/")
 
 
 def test_spindle_off_while_cutting(tmp_path):

@@ -313,6 +313,8 @@ def test_cuts_without_a_spindle_speed_are_refused_with_the_line_to_look_at(event
     with pytest.raises(ForceError, match=words) as refused:
         estimate._check_spindle_speed(made, steps, tool_states(rpm=0.0))
     assert refused.value.line == line
+    with pytest.raises(ForceError, match=r"speed is not known\. Give rpm in \[tools\.n\] of the process file\.$"):
+        estimate._check_spindle_speed(replace(MADE, layout=SimpleNamespace()), steps, tool_states(rpm=0.0))
     estimate._check_spindle_speed(made, steps, tool_states())
     rapid = straight(np.zeros((1, 3)), np.ones((1, 3)), motion=[0], cutting=[False])
     estimate._check_spindle_speed(made, rapid, tool_states(rpm=0.0))

@@ -181,6 +181,8 @@ class _Reader:
             )
         except RapidSyntaxError as cause:
             advice = "Check the file in RobotStudio. If it is accepted there, please report this."
+            if cause.is_at_end:
+                advice = "The file is not complete: write or copy it again."
             # number of lines that begin at or before the offset
             line = int(np.searchsorted(line_spans(text)[0], cause.start, side="right"))
             raise self._error(cause.problem, line, advice) from None

@@ -20,11 +20,12 @@ class RapidSyntaxError(PostprocError):
     """A text is not RAPID.
 
     :ivar start: offset of the error.
+    :ivar is_at_end: the text ends before it is complete.
     """
 
-    def __init__(self, problem: str, start: int) -> None:
+    def __init__(self, problem: str, start: int, *, is_at_end: bool = False) -> None:
         super().__init__(problem)
-        self.problem, self.start = problem, start
+        self.problem, self.start, self.is_at_end = problem, start, is_at_end
 
 
 class Expression(Struct, frozen=True, eq=False):
@@ -285,7 +286,8 @@ class Parser:
     def fault(self, expectation: str) -> RapidSyntaxError:
         """Return the error that `expectation` is expected in place of the next token."""
         token = self.text[self.start : self.stop] if self.kind != "end" else "the end of the file"
-        return RapidSyntaxError(f"{expectation} is expected instead of {token!r}", self.start)
+        problem = f"{expectation} is expected instead of {token!r}"
+        return RapidSyntaxError(problem, self.start, is_at_end=self.kind == "end")
 
     def expect(self, word: str) -> None:
         """Step over the next token, which must be a certain word or symbol.
