@@ -140,6 +140,95 @@ def test_a_divided_program_is_known_after_a_restart_by_its_main_file(watcher, tm
     assert converted(watcher(lines_per_file=40)) == []
 
 
+CALLING = "G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nM98 P400\nG0 Z20\nM30\n"
+SUBPROGRAM = "O400\nG91 G1 X{x}\nG90\nM99\n"
+
+
+def test_a_program_follows_the_subprograms_in_other_files(watcher, tmp_path):
+    """The file may come later than its caller, change, and go: each counts as a change of the caller."""
+    known = watcher()
+    put(tmp_path, "b.nc", CALLING)
+    put(tmp_path, "c.nc", PART.format(x=5))
+    assert sorted(converted(known)) == ["b.nc", "c.nc"]
+    written = tmp_path / "out" / "b.src"
+    assert not written.exists(), "its subprogram is missing"
+    called = put(tmp_path, "O400.nc", SUBPROGRAM.format(x=20))
+    assert sorted(converted(known, (2.0, 3.1))) == ["O400.nc", "b.nc"], "it came late"
+    assert "X 20" in written.read_text()
+    put(tmp_path, "O400.nc", SUBPROGRAM.format(x=45))
+    assert sorted(converted(known, (4.0, 5.1))) == ["O400.nc", "b.nc"]
+    assert "X 45" in written.read_text()
+    put(tmp_path, "O400.nc", SUBPROGRAM.format(x=50))  # while it is not running
+    assert sorted(converted(watcher())) == ["O400.nc", "b.nc"]
+    assert "X 50" in written.read_text()
+    assert converted(watcher()) == []
+    (tmp_path / "out" / watching.STATE).unlink()
+    known = watcher()
+    assert sorted(converted(known)) == ["O400.nc", "b.nc"], "the state file is lost"
+    called.unlink()
+    assert converted(known, (10.0, 11.1)) == ["b.nc"]
+    assert not written.exists()
+    assert written.with_name("b.src.old").exists()
+
+
+def test_a_subprogram_of_a_computed_number_and_one_of_another_extension_count(watcher, tmp_path):
+    known = watcher()
+    put(tmp_path, "b.nc", CALLING.replace("M98 P400", "#1=399\nm 98 p[#1+1]"))
+    put(tmp_path, "d.nc", CALLING.replace("M98 P400", "o<bore> call [30]"))
+    put(tmp_path, "0400.txt", SUBPROGRAM.format(x=20))
+    put(tmp_path, "bore.ngc", "o<bore> sub\nG1 X#1\nM98 P400\no<bore> endsub\n")
+    assert sorted(converted(known)) == ["b.nc", "bore.ngc", "d.nc"]
+    put(tmp_path, "0400.txt", SUBPROGRAM.format(x=45))
+    assert sorted(converted(known, (2.0, 3.1))) == ["b.nc", "bore.ngc", "d.nc"]
+    assert "X 45" in (tmp_path / "out" / "b.src").read_text()
+    assert "X 75" in (tmp_path / "out" / "d.src").read_text()
+
+
+KRL_CALLING = """DEF m()
+$BASE={X 1500,Y -50,Z 700,A 0,B 0,C 0}
+$TOOL=TOOL_DATA[1]
+$VEL.CP=0.02
+PTP {A1 0,A2 -90,A3 100,A4 0,A5 80,A6 0}
+LIN {X 0,Y 0,Z 60,A 0,B 90,C 0}
+subx()
+END
+"""
+
+
+def test_krl_follows_called_files_also_of_other_folders(watcher, tmp_path):
+    library = tmp_path / "library"
+    library.mkdir()
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL_FILE.read_text() + '\n[krl]\nsearch = ["library"]\n[tool_data.1]\nZ = 350.0\n')
+    put(tmp_path, "m.src", KRL_CALLING)
+    known = watcher(cell=cell)
+    assert converted(known) == ["m.src"]
+    (library / "subx.src").write_text("DEF subx()\nsuby()\nEND\n")
+    (library / "suby.src").write_text("DEF suby()\nLIN {X DEPTH}\nEND\n")
+    (library / "suby.dat").write_text("DEFDAT suby\nDECL REAL DEPTH=20\nENDDAT\n")
+    assert converted(known, (2.0, 3.1)) == ["m.src"], "late"
+    (library / "suby.dat").write_text("DEFDAT suby\nDECL REAL DEPTH=25\nENDDAT\n")
+    assert converted(known, (4.0, 5.1)) == ["m.src"], "values of a called file"
+    (library / "other.src").write_text("DEF other()\nEND\n")
+    assert converted(known, (6.0, 7.1)) == []
+    library.rename(tmp_path / "away")
+    assert converted(known, (8.0, 9.1)) == [], "the folder is waited for"
+    assert known.said[-1] == f"{library} cannot be read at present. Waiting for it."
+    (tmp_path / "away").rename(library)
+    (library / "subx.src").unlink()
+    assert converted(known, (10.0, 11.1)) == ["m.src"]
+
+
+def test_files_that_lines_of_the_cell_call_count(watcher, tmp_path):
+    cell = tmp_path / "cell.toml"
+    cell.write_text(CELL_FILE.read_text() + '\n[m_codes]\nM31 = ["CLAMP()"]\n')
+    put(tmp_path, "a.nc", PART.format(x=5).replace("M30", "M31\nM30"))
+    known = watcher(cell=cell)
+    assert converted(known) == ["a.nc"]
+    put(tmp_path, "clamp.src", "DEF clamp()\nWAIT SEC 1\nEND\n")
+    assert "a.nc" in converted(known, (2.0, 3.1))
+
+
 def test_one_that_fails_stops_no_other_and_is_tried_again_when_it_changes(watcher, tmp_path):
     known = watcher()
     for name in ("a.nc", "c.nc"):

@@ -47,14 +47,12 @@ def events_with_waits(
 
     :param folder: folder of the program, which is searched before those of `[krl] search`; empty without one.
     """
-    folders = [*([Path(folder)] if folder else []), *(Path(cell.folder) / name for name in cell.krl.search)]
-    subprograms = _Subprograms(folders)
+    subprograms = _Subprograms(_searched_folders(folder, cell))
     marked_events: list[Event] = []
     unknown_calls: dict[str, Event] = {}
     for event in events:
         lines = [] if event.kind in ("dwell", "stop", "comment") else lines_of(event, cell)
-        names = [match[1].upper() for line in lines if (match := _CALL_STATEMENT.match(line))]
-        names = [name for name in names if name not in _NO_SUBPROGRAMS]
+        names = _names_called_in(lines)
         waits = any(map(is_wait, lines)) or any(map(subprograms.waits, names))
         marked_events.append(replace(event, waits=True) if waits else event)
         if event.before > 0 and not waits and not motions.rapid[event.before - 1]:
@@ -66,6 +64,30 @@ def events_with_waits(
         for name, event in unknown_calls.items()
     ]
     return tuple(marked_events), tuple(issues[:1])
+
+
+def called_by_cell(folder: Path, cell: Cell) -> list[Path]:
+    """Return the `.src` files of the subprograms that lines of the cell call, directly or not, sorted.
+
+    :param folder: folder of the programs, which is searched before those of `[krl] search`.
+    """
+    lines_of_key = [cell.gcode.spindle_on, cell.gcode.spindle_ccw, cell.gcode.spindle_off, cell.gcode.coolant_on]
+    lines_of_key += [cell.gcode.coolant_off, cell.gcode.tool_change, *cell.m_codes.values()]
+    subprograms = _Subprograms(_searched_folders(str(folder), cell))
+    for name in _names_called_in([line for lines in lines_of_key for line in lines or ()]):
+        subprograms.waits(name)
+    return subprograms.read_files()
+
+
+def _searched_folders(folder: str, cell: Cell) -> list[Path]:
+    """Return the folders of subprograms: that of the program, if it has one, then those of `[krl] search`."""
+    return [*([Path(folder)] if folder else []), *(Path(cell.folder) / name for name in cell.krl.search)]
+
+
+def _names_called_in(lines: Iterable[str]) -> list[str]:
+    """Return the names, upper case, of the subprograms that lines of the cell call."""
+    names = [match[1].upper() for line in lines if (match := _CALL_STATEMENT.match(line))]
+    return [name for name in names if name not in _NO_SUBPROGRAMS]
 
 
 class _Subprograms:
@@ -92,6 +114,10 @@ class _Subprograms:
     def is_known(self, name: str) -> bool:
         """Return whether a subprogram, upper case, has a file."""
         return name in self._paths
+
+    def read_files(self) -> list[Path]:
+        """Return the files that `waits` has read, sorted."""
+        return sorted(self._paths[name] for name in self._results if name in self._paths)
 
     def waits(self, name: str) -> bool:
         """Return whether the file of a subprogram, or of one that it calls, has a wait; False without a file.

@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 from msgspec import Struct
 
 from postproc.cell import Cell
+from postproc.dialects.cell_lines import called_by_cell
 from postproc.frames import Array
 from postproc.program import Document, Program, TargetForces, TargetJoints, Targets, WrittenProgram
 from postproc.provenance import Origin, Provenance
@@ -124,6 +125,20 @@ class WithNumberedFrames(Protocol):
         ...
 
 
+@runtime_checkable
+class WithCalledFiles(Protocol):
+    """Additional interface of a dialect that reads more files than a program and its companions."""
+
+    def called_files(self, paths: Sequence[Path], cell: Cell) -> dict[Path, list[Path]]:
+        """Return the files that each program may call, and those of which it may take values: program → files.
+
+        If a call depends on values, all files that it may mean count. Files that do not exist are left out.
+
+        :param paths: programs of one folder.
+        """
+        ...
+
+
 class Survey(Struct, frozen=True):
     """What the text of a CAM program shows before it is read: the basis for the questions of `start` and `init`.
 
@@ -152,6 +167,7 @@ class CamFormat(Struct, frozen=True):
 
     :param reader: reads the file of a program; its parameters are those of `read` after the file.
     :param survey: reads what `Survey` states, without a cell; None: the dialect has no survey.
+    :param subprograms: returns the files of subprograms that programs of one folder may call; None: there are none.
     :param command_decimals: decimals of X … C in robot programs made from programs of this dialect.
     """
 
@@ -161,11 +177,21 @@ class CamFormat(Struct, frozen=True):
     command_decimals: tuple[int, ...] = (4, 4, 4, 5, 5, 5)
     writer: None = None
     survey: Callable[[Document], Survey] | None = None
+    subprograms: Callable[[Sequence[Path]], dict[Path, list[Path]]] | None = None
 
     def companions(self, path: Path) -> list[Path]:
         """Return no other files: a program is one file."""
         del path
         return []
+
+    def called_files(self, paths: Sequence[Path], cell: Cell) -> dict[Path, list[Path]]:
+        """Return the files of subprograms that each program, or a line of the cell, may call: program → files.
+
+        :param paths: programs of one folder.
+        """
+        cell_files = called_by_cell(paths[0].parent, cell)
+        subprograms = {} if self.subprograms is None else self.subprograms(paths)
+        return {path: [*subprograms.get(path, ()), *cell_files] for path in paths}
 
     def read(
         self, documents: Sequence[Document], cell: Cell, forward_kinematics: Callable[[Array], Array], name: str

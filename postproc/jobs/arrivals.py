@@ -9,10 +9,12 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from postproc import cell as cells
+from postproc.cell import Cell
 from postproc.dialects import registry
 from postproc.dialects.dialect import Calling
 from postproc.errors import PostprocError
 from postproc.jobs import inputs
+from postproc.jobs.called_files import CalledFiles
 from postproc.jobs.programs import find_jobs, is_utf8, process_of, states_forces
 from postproc.jobs.watching import QUIET, FileStamp, Signature
 
@@ -32,9 +34,12 @@ class Arrivals:
         self._finished: dict[Path, Signature] = {}
         """Signature of the inputs with which each program was last converted, or passed to `finish`."""
         self._program_files: dict[Path, Signature] = {}
-        """Signature of the files of each program at the last scan; while a command works on it, before the command."""
+        """Signature of the files that each program is read from, at the last scan.
+
+        While a command works on the program, that before the command."""
         self._busy: set[Path] = set()
         """Programs that a command worked on at the last scan."""
+        self._called_files = CalledFiles(folder)
 
     def ready(self, time_s: float, busy: Collection[str] = ()) -> list[Path]:
         """Return the programs that are ready to be converted, sorted.
@@ -49,11 +54,13 @@ class Arrivals:
         """
         if not self.cell.is_file():
             return []
-        setup_files = self._setup_files()
+        cell = self._load_cell()
+        setup_files = [self.cell] if cell is None else self._setup_files(cell)
         paths = self._programs()
+        self._called_files.update(paths, cell)
         ready_paths = []
         for path in paths:
-            program_files = _signature(_program_files(path))
+            program_files = _signature([*_program_files(path), *self._called_files.files_of(path)])
             signature = (*program_files, *_signature([*self._force_files(path), *setup_files]))
             if path.name in busy:
                 self._busy.add(path)
@@ -120,10 +127,16 @@ class Arrivals:
         )
         return registry.newest_versions(sorted(programs))
 
-    def _setup_files(self) -> list[Path]:
-        """Return the files of cell and robot; the cell file alone if the cell is unusable."""
+    def _load_cell(self) -> Cell | None:
+        """Return the cell; None if it is unusable."""
         try:
-            cell = cells.load(self.cell)
+            return cells.load(self.cell)
+        except PostprocError:
+            return None
+
+    def _setup_files(self, cell: Cell) -> list[Path]:
+        """Return the files of cell and robot; the cell file alone if there is no such robot."""
+        try:
             return [*inputs.cell_inputs(self.cell, cell), *inputs.robot_inputs(cell)]
         except PostprocError:
             return [self.cell]

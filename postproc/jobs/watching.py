@@ -28,9 +28,11 @@ from msgspec.structs import replace
 
 from postproc import cell as cells
 from postproc import files, provenance
+from postproc.cell import Cell
 from postproc.dialects import registry
 from postproc.errors import InputError, PostprocError
 from postproc.jobs import inputs
+from postproc.jobs.called_files import CalledFiles
 from postproc.jobs.conversion import options_of, origin_of
 from postproc.jobs.output_plan import OVERVIEW, leftover_note, same_names, shared_name_problem
 from postproc.jobs.programs import (
@@ -204,6 +206,8 @@ class _Watcher:
     :ivar setup_paths: the files of the set-up; `setup_status`: size and time of each at the last scan.
     :ivar setup_since: monotonic time of the last change of these files [s].
     :ivar is_setup_read: whether `setup` was computed after this change.
+    :ivar cell: the cell; None: it is unusable.
+    :ivar called_files: files that the programs may call, from scan to scan.
     :ivar same_named: programs that were refused because they would be written under one name.
     :ivar force_folder: folder of forces; None: there is none.
     :ivar force_files: files in the folder of forces at the last scan, see `programs.force_files`.
@@ -240,24 +244,28 @@ class _Watcher:
         self.setup_paths: list[Path] = []
         self.setup_status: tuple[tuple[int, int], ...] = ()
         self.setup_since, self.is_setup_read = 0.0, False
+        self.cell: Cell | None = None
+        self.called_files = CalledFiles(folder, options.get("dialect"))
 
     def scan(self, time_s: float) -> list[Path]:
         """Return the programs to convert: they are new or have changed, and can be read.
 
-        The files of the program and of the set-up must not have changed for `QUIET`. None is returned while a folder
-        cannot be read or the output folder cannot be written; a sentence says so once.
+        The files of the program, those that it may call, and those of the set-up must not have changed for `QUIET`.
+        None is returned while a folder cannot be read or the output folder cannot be written; a sentence says so once.
 
         :param time_s: monotonic time [s].
         """
-        folders = (self.folder, self.force_folder)
+        is_setup_quiet = self._is_setup_quiet(time_s)
         try:
             self.force_files = {} if self.force_folder is None else force_files(self.force_folder)
-            signatures = {path: self._signature(path) for path in self._programs()}
+            programs = self._programs()
+            self.called_files.update(programs, self.cell)
+            signatures = {path: self._signature(path) for path in programs}
         except OSError as cause:
             self._report_new(f"{cause.filename or self.folder} cannot be read at present. Waiting for it.")
             return []
+        folders = (self.force_folder, *self.called_files.folders)
         self.reported -= {f"{folder} cannot be read at present. Waiting for it." for folder in folders}
-        is_setup_quiet = self._is_setup_quiet(time_s)
         self._forget_removed(signatures)
         ready = []
         for path, signature in sorted(signatures.items()):
@@ -309,7 +317,7 @@ class _Watcher:
         :param time_s: monotonic time [s].
         """
         if tuple(map(_file_status, self.setup_paths)) != self.setup_status or not self.setup:
-            self.setup_paths = self._setup_paths()
+            self.setup_paths = self._read_setup_paths()
             self.setup_status = tuple(map(_file_status, self.setup_paths))
             self.setup_since, self.is_setup_read = time_s, False
         if self.is_setup_read:
@@ -340,13 +348,17 @@ class _Watcher:
             self.finished.clear()
         return True
 
-    def _setup_paths(self) -> list[Path]:
-        """Return the files of the set-up: cell, robot, part, common forces; of an unusable cell the cell file alone."""
+    def _read_setup_paths(self) -> list[Path]:
+        """Read `cell`; return the files of the set-up: cell, robot, part, common forces.
+
+        If the cell is unusable, the cell file alone is returned of its files.
+        """
         settings = self.settings
         paths = [settings.cell, *([] if settings.part is None else [settings.part])]
+        self.cell = None
         try:
-            cell = cells.load(settings.cell)
-            paths += [*inputs.cell_inputs(settings.cell, cell)[1:], *inputs.robot_inputs(cell)]
+            self.cell = cells.load(settings.cell)
+            paths += [*inputs.cell_inputs(settings.cell, self.cell)[1:], *inputs.robot_inputs(self.cell)]
         except PostprocError:
             pass
         forces: Path | None = self.plain_options["forces"]
@@ -501,7 +513,7 @@ class _Watcher:
         return registry.newest_versions(programs)
 
     def _input_files(self, path: Path) -> list[Path]:
-        """Return the files that a program is read from: its own, its companions, and its files of forces.
+        """Return the files that a program is read from: its own, its companions, those that it calls, and its forces.
 
         Forces that are common to all programs belong to the set-up, and are left out.
         """
@@ -509,7 +521,8 @@ class _Watcher:
         process = self._process_of(path)
         is_common = process is None or process == self.plain_options["forces"]
         process_files = [] if process is None or is_common else _files_of_process(process, process.stat())
-        return [path, *companions, *self.force_files.get(registry.program_name(path).lower(), ()), *process_files]
+        forces = self.force_files.get(registry.program_name(path).lower(), ())
+        return [path, *companions, *self.called_files.files_of(path), *forces, *process_files]
 
     def _signature(self, path: Path) -> Signature | None:
         """Return names, sizes and times of the files of a program; None if one of them does not exist any more."""
@@ -546,10 +559,10 @@ class _Watcher:
         """Return whether the output folder has the program as the present inputs and options make it.
 
         The line of origin shows that, a comment in the written program with the checksums of its inputs. With the mesh
-        of a part False is returned, because the line of origin does not depend on it. False also if a file is missing
-        or cannot be read.
+        of a part, or files that the program may call, False is returned, because the line of origin need not depend on
+        them. False also if a file is missing or cannot be read.
         """
-        if self.settings.part is not None:
+        if self.settings.part is not None or self.called_files.files_of(path):
             return False
         try:
             (job,) = self._find_forces(find_jobs([str(path)], output=self.output, **self.plain_options))

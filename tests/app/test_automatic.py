@@ -48,6 +48,17 @@ def test_a_program_is_ready_once_it_is_quiet_and_again_when_an_input_changes(arr
         arrivals.finish(folder / "part.nc")
 
 
+def test_a_program_is_ready_again_when_a_file_that_it_calls_arrives_or_changes(arrivals, folder):
+    (folder / "part.nc").write_text(PROGRAM.replace("M30", "M98 P400\nM30"))
+    assert ready(arrivals, 0.0, 1.1) == ["part.nc"]
+    arrivals.finish(folder / "part.nc")
+    for start, text in ((10.0, "O400\nG1 X1\nM99\n"), (20.0, "O400\nG1 X12\nM99\n")):
+        (folder / "0400.txt").write_text(text)
+        assert ready(arrivals, start) == []
+        assert ready(arrivals, start + 1.1) == ["part.nc"]
+        arrivals.finish(folder / "part.nc")
+
+
 def test_a_program_whose_forces_are_not_stated_waits_for_them(arrivals, folder):
     (folder / "other.nc").write_text(PROGRAM)
     assert ready(arrivals, 0.0, 2.0) == ["part.nc"]

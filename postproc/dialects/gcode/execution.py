@@ -4,9 +4,7 @@ Subprograms, loops and branches are expanded. The result is a program of plain l
 each of its lines knows its file and line number. Lines without parameters and O-words are copied in runs, so a program
 whose subprograms are paths costs little. `structure` reads what the lines with O-words and expressions mean.
 
-A subprogram is in the file that calls it, in the main program, or in another file of the folder. ``O<name> CALL`` is
-searched for in ``name.ngc``, M98 P100 in ``100.ngc``, ``O100.nc``, ``o0100.nc`` and so on, first with the extension of
-the program.
+A subprogram is in the file that calls it, in the main program, or in another file of the folder, see `subprograms`.
 """
 
 from __future__ import annotations
@@ -23,6 +21,7 @@ from msgspec.structs import replace
 from postproc.chunks import compact, ragged_range
 from postproc.dialects.gcode.expressions import Parameters, nearest_integer
 from postproc.dialects.gcode.structure import Block, OWord, ProgramFile, end_words, needs_execution
+from postproc.dialects.gcode.subprograms import SubprogramFiles, label_of_file
 from postproc.dialects.gcode.words import COMMENT_MARK, EARLY_PERCENT, BlockError, Fault, Source, line_feeds, split
 from postproc.dialects.text import decode
 from postproc.errors import MAX_ERRORS, ProgramError, SubprogramError
@@ -129,9 +128,6 @@ def _executed_comments(files: Sequence[ProgramFile], document: Ints, row: Ints) 
     return tuple(texts[n] for n in ordered_indices), np.concatenate(executed_rows)[order]
 
 
-_EXTENSIONS = (".ngc", ".nc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp", ".txt", ".sub", "")
-
-
 class Library:
     """The files of a program.
 
@@ -140,7 +136,7 @@ class Library:
 
     def __init__(self, program: ProgramFile) -> None:
         self.files = [program]
-        self._folder_files: dict[str, Path] | None = None
+        self._folder_files: SubprogramFiles | None = None
 
     def find_subprogram(self, label: str, caller: int, *, is_linuxcnc_style: bool) -> tuple[int, int] | None:
         """Return the index in `files` of the file of a subprogram, and its first row there; None: no file has it.
@@ -176,7 +172,7 @@ class Library:
         :raises BlockError: it cannot be read.
         """
         for n, file in enumerate(self.files):  # 0 is the program itself
-            if n and _label_of_file(file.document.name) == label:
+            if n and label_of_file(file.document.name) == label:
                 return n
         path = self._subprogram_file(label)
         if path is None:
@@ -197,27 +193,14 @@ class Library:
     def _subprogram_file(self, label: str) -> Path | None:
         """Return the file of the program's folder that is named after a subprogram, or None.
 
-        Extensions are tried in order, first that of the program. The first call lists the folder into `_folder_files`.
+        The first call lists the folder into `_folder_files`.
         """
         main = self.files[0].document
+        if not main.folder:
+            return None
         if self._folder_files is None:
-            self._folder_files = {}
-            folder = Path(main.folder) if main.folder else None
-            for path in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
-                if path.name != main.name and path.suffix.lower() in (*_EXTENSIONS, Path(main.name).suffix.lower()):
-                    self._folder_files[path.name.lower()] = path
-        for extension in dict.fromkeys((Path(main.name).suffix.lower(), *_EXTENSIONS)):
-            for name, path in self._folder_files.items():
-                if Path(name).suffix == extension and _label_of_file(name) == label and path.is_file():
-                    return path
-        return None
-
-
-def _label_of_file(file: str) -> str:
-    """Return the label of the subprogram in a file by its name: ``O0100.nc`` → ``100``."""
-    stem = Path(file).stem.lower()
-    number = re.fullmatch(r"o?(\d+)", stem)
-    return stem if number is None else str(int(number[1]))
+            self._folder_files = SubprogramFiles(Path(main.folder))
+        return self._folder_files.find_file(label, main.name)
 
 
 _MOST_NOTABLE_LINES = 2_000_000

@@ -50,6 +50,7 @@ from postproc.dialects.gcode.modes import Modes, read_modes
 from postproc.dialects.gcode.moves import CellFrames
 from postproc.dialects.gcode.path import CHORD_TOLERANCE_SHARE, MotionPath, Speeds, read_path
 from postproc.dialects.gcode.rotary import RotaryAxes
+from postproc.dialects.gcode.subprograms import called_files
 from postproc.dialects.gcode.survey import survey
 from postproc.dialects.gcode.words import Fault
 from postproc.dialects.text import decode, line_spans
@@ -484,5 +485,7 @@ def _reading_issues(path: MotionPath, modes: Modes, text: str) -> Iterator[Issue
         yield Issue("info", "null-move", message, lines[0], count=len(lines), lines=lines)
 
 
-GCODE = CamFormat("gcode", (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), read, survey=survey)
+GCODE = CamFormat(
+    "gcode", (".nc", ".ngc", ".tap", ".cnc", ".gcode", ".mpf", ".ptp"), read, survey=survey, subprograms=called_files
+)
 """G-code of milling with three to five axes."""

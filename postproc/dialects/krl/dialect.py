@@ -27,7 +27,7 @@ from postproc.dialects.krl.language.parts import (
 from postproc.dialects.krl.language.scan import DEF_LINE
 from postproc.dialects.krl.layout import Layout
 from postproc.dialects.krl.read import read_program
-from postproc.dialects.krl.read.folder import called_files_with_motion
+from postproc.dialects.krl.read.folder import called_files_with_motion, searched_files
 from postproc.dialects.text import decode
 from postproc.errors import Issue, ProgramError
 from postproc.frames import RAD_PER_DEG, Array
@@ -222,6 +222,10 @@ class Krl:
     def moving(self, paths: Sequence[Path], cell: Cell) -> dict[Path, set[Path]]:
         """Return the files with motions that programs of one folder may call: program → called files."""
         return called_files_with_motion(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
+
+    def called_files(self, paths: Sequence[Path], cell: Cell) -> dict[Path, list[Path]]:
+        """Return the files that the reading of each program may need, see `searched_files`: program → files."""
+        return searched_files(paths, [Path(cell.folder) / folder for folder in cell.krl.search])
 
     def copy_subprograms(
         self,

@@ -22,7 +22,7 @@ from postproc.dialects.krl.language.declarations import declared_names
 from postproc.dialects.krl.language.names import PURE, RESERVED, STANDARD
 from postproc.dialects.krl.language.routines import Callee, Module, Routine, routines
 from postproc.dialects.krl.language.source import OTHER_FILE, Source
-from postproc.dialects.krl.language.tokens import occurrences
+from postproc.dialects.krl.language.tokens import NAME, occurrences
 from postproc.dialects.krl.read import plain_lines
 from postproc.dialects.text import decode
 from postproc.errors import ProgramError, combined_error
@@ -70,11 +70,16 @@ class FolderFiles:
         :param code: code without comments.
         :param own_routines: names, upper case, of the routines in the file of the code: they hide those of other files.
         """
-        paths = {
-            name: self.paths.get(f"{name}.SRC") for name in scan.called_names(code) - own_routines - _CONTROLLER_NAMES
-        }
-        callees = {self._routine_paths.get(name) if path is None else path for name, path in paths.items()}
-        return {path for path in callees if path is not None}
+        return self.files_of_routines(scan.called_names(code) - own_routines)
+
+    def files_of_routines(self, names: Set[str]) -> set[Path]:
+        """Return the `.src` files of routines, given by their names in upper case; those of the controller count not.
+
+        A routine is in the file of its name, or else a GLOBAL routine of another file.
+        """
+        paths = {name: self.paths.get(f"{name}.SRC") for name in names - _CONTROLLER_NAMES}
+        files = {self._routine_paths.get(name) if path is None else path for name, path in paths.items()}
+        return {path for path in files if path is not None}
 
     def called_code(self, code: str) -> Iterator[str]:
         """Yield the given code without comments, then the code of all files that it calls, directly or not.
@@ -154,6 +159,68 @@ def called_files_with_motion(paths: Sequence[Path], search: Sequence[Path]) -> d
             new_callees = set().union(*map(callees_of, new_callees)) - callees
         moving_files[path] = {callee for callee in callees if scan.has_motion(code_of(callee))}
     return moving_files
+
+
+def searched_files(paths: Sequence[Path], search: Sequence[Path]) -> dict[Path, list[Path]]:
+    """Return program → files that its reading may need, sorted, for programs of one folder.
+
+    They are the files that it may call, directly or not, their data lists, other data lists with GLOBAL variables that
+    these files name, and the submit programs.
+
+    :param paths: the programs.
+    :param search: folders that are searched after the folder of the programs.
+    """
+    files = FolderFiles([paths[0].parent, *search])
+    submit_programs = {path for name, path in files.paths.items() if name.endswith(".SUB")}
+    data_names = {
+        path: names
+        for file, path in files.paths.items()
+        if file.endswith(".DAT") and (names := _present_names_in(path, scan.global_variables))
+    }
+
+    @cache
+    def next_files(path: Path) -> set[Path]:
+        """Return the files that a file may call, and the data lists that it may need."""
+        data_lists = {f"{path.stem}.DAT", *(f"{stem}.DAT" for stem in _present_names_in(path, _imported_stems))}
+        next_paths = {data for name in data_lists if (data := files.paths.get(name.upper())) is not None}
+        next_paths |= files.files_of_routines(_present_names_in(path, _called_names))
+        if data_names:
+            words = _present_names_in(path, _words)
+            next_paths |= {data for data, names in data_names.items() if not words.isdisjoint(names)}
+        return next_paths
+
+    files_of_program: dict[Path, list[Path]] = {}
+    for program in paths:
+        needed_paths, unread_paths = {program}, {program}
+        while unread_paths:
+            unread_paths = set().union(*map(next_files, unread_paths)) - needed_paths
+            needed_paths |= unread_paths
+        files_of_program[program] = sorted((needed_paths | submit_programs) - {program})
+    return files_of_program
+
+
+def _called_names(text: str) -> frozenset[str]:
+    """Return the names, upper case, that a file may call."""
+    return frozenset(scan.called_names(scan.code_without_comments(text)))
+
+
+def _words(text: str) -> frozenset[str]:
+    """Return the names, upper case, in the code of a file."""
+    return frozenset(name.upper() for name in NAME.findall(scan.code_without_comments(text)))
+
+
+def _imported_stems(text: str) -> frozenset[str]:
+    """Return the names, upper case, of the data lists from which a file imports variables."""
+    return frozenset(scan.imported_files(text))
+
+
+def _present_names_in(path: Path, find_names: Callable[[str], frozenset[str]]) -> frozenset[str]:
+    """Return the names that a function finds in a file as it is now; empty if the file cannot be read."""
+    try:
+        status = path.stat()
+    except OSError:
+        return frozenset()
+    return _names_in(path, find_names, status.st_mtime_ns, status.st_size)
 
 
 def _program_files(folders: Sequence[Path]) -> Iterator[Path]:
