@@ -174,6 +174,7 @@ def test_the_result_of_a_program_that_left_its_folder_is_named():
     Path("parts/one.nc").unlink()
     said = f"programs that are no longer there: {Path('out/one.src')}. Do not load them."
     assert said in convert("parts").stderr
+    assert "the program is no longer there" in Path("out/index.html").read_text()
     assert "no longer there" not in convert("parts/two.nc").stderr  # the user did not name the folder
     Path("out/one.src").unlink()
     assert "no longer there" not in convert("parts").stderr

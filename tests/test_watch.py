@@ -24,6 +24,7 @@ from postproc.errors import InputError, PostprocError
 from postproc.jobs import Settings, convert_all, find_jobs, inputs, watching
 from postproc.jobs.watching import server
 from tests.commands import invoke
+from tests.html_page import read_page
 from tests.places import CELL_FILE, ROOT
 
 PART = "G21 G90\nG0 X0 Y0 Z20\nG1 Z-1 F300\nX{x}\nG0 Z20\nM30\n"
@@ -447,6 +448,35 @@ def test_the_overview_lists_programs_that_came_one_by_one_also_those_that_failed
     assert converted(other) == ["d.nc"]
     assert page.read_text() == "<p>mine"
     assert other.said == [f"{page} was not written by postproc: there is no overview."]
+
+
+def test_results_of_programs_that_are_no_longer_there_are_named(watcher, tmp_path):
+    known = watcher()
+    page = tmp_path / "out" / "index.html"
+    path = put(tmp_path, "a.nc", PART.format(x=5))
+    put(tmp_path, "b.nc", PART.format(x=6))
+    assert sorted(converted(known)) == ["a.nc", "b.nc"]
+    assert converted(known, (2.0, 3.1)) == []
+    path.unlink()
+    assert converted(known, (4.0, 4.5)) == []
+    assert known.said == [], "an editor may write it again"
+    assert converted(known, (5.1, 6.2)) == []
+    written = tmp_path / "out" / "a.src"
+    note = f"Written by an earlier run from programs that are no longer there: {written}. Do not load them."
+    assert known.said == [note]
+    text = read_page(page.read_bytes()).text("programs")
+    assert "a.nc do not load the program is no longer there" in text
+    assert "b.nc do not load" not in text
+    (tmp_path / "in" / "b.nc").rename(tmp_path / "in" / "c.nc")
+    assert converted(known, (7.0, 8.1, 9.2)) == ["c.nc"]
+    assert known.said == [note, note.replace("a.src", "b.src")], "each once"
+    assert read_page(page.read_bytes()).text("programs").count("no longer there") == 2
+    known = watcher()
+    assert converted(known) == []
+    assert known.said == [note.replace(f"{written}", f"{written}, {written.with_name('b.src')}")], "after a restart"
+    put(tmp_path, "a.nc", PART.format(x=5))
+    assert converted(known, (10.0, 11.1, 12.2)) == []
+    assert "a.nc do not load" not in read_page(page.read_bytes()).text("programs")
 
 
 def test_an_output_folder_that_cannot_be_written_is_waited_for_and_a_removed_one_is_filled_again(watcher, tmp_path):

@@ -181,6 +181,12 @@ def written_in(dialect: str, to: str | None = None) -> tuple[str, Writer]:
     return name, writer
 
 
+def written_extensions() -> frozenset[str]:
+    """Return the extensions of written programs, with their point."""
+    writers = (dialect_of_name(name).writer for name in names())
+    return frozenset(writer.extension for writer in writers if writer is not None)
+
+
 @cache
 def _builtin_dialect(name: str) -> Dialect:
     """Return a dialect of this package, imported at the first call."""

@@ -796,29 +796,55 @@ def removed_programs_note(jobs: Iterable[Job], mode: Mode) -> str:
 
     Empty if there are none, in a prediction, and if the user named all programs of the run.
     """
-    folder_jobs = [job for job in jobs if not job.is_named_by_user]
-    if mode == "predict" or not folder_jobs:
+    if mode == "predict":
         return ""
-    report_names = {(job.output, job.report_name(mode)) for job in jobs}
-    sources, extensions = {job.program.parent for job in folder_jobs}, {job.writer.extension for job in folder_jobs}
-    removed: list[Path] = []
-    for report in sorted(
-        path for folder in {job.output for job in folder_jobs} for path in folder.glob("*.report.json")
-    ):
-        if (report.parent, report.name) in report_names:
-            continue
+    return removal_note(removed_programs(jobs))
+
+
+def removed_programs(jobs: Iterable[Job]) -> dict[Path, list[Path]]:
+    """Return the results in the output folders of jobs whose source is no longer in the folders of these jobs.
+
+    Programs of the jobs, and folders of which the user named all programs, do not count; for the values see
+    `removed_results`.
+    """
+    jobs = list(jobs)
+    folder_jobs = [job for job in jobs if not job.is_named_by_user]
+    reports = {job.output / job.report_name("convert") for job in jobs}
+    sources = {job.program.parent for job in folder_jobs}
+    outputs = sorted({job.output for job in folder_jobs})
+    return {
+        report: programs
+        for output in outputs
+        for report, programs in removed_results(output, sources).items()
+        if report not in reports
+    }
+
+
+def removed_results(output: Path, sources: Iterable[Path]) -> dict[Path, list[Path]]:
+    """Return the results in a folder whose source is no longer there: report → its written programs that exist.
+
+    :param output: folder of the results; `sources`: folders in which the sources may be.
+    """
+    removed: dict[Path, list[Path]] = {}
+    for report in sorted(output.glob("*.report.json")):
         program = recorded_text(report, "program")
         if any((folder / program).exists() for folder in sources):
             continue
-        stem = report.name.removesuffix(".report.json").lower()
-        removed += [
-            report.parent / name
+        stem, extensions = report.name.removesuffix(".report.json").lower(), registry.written_extensions()
+        removed[report] = [
+            output / name
             for name in recorded_files(report)
-            if PurePath(name).suffix in extensions and _is_part_name(name, stem) and (report.parent / name).exists()
+            if PurePath(name).suffix in extensions and _is_part_name(name, stem) and (output / name).exists()
         ]
-    if not removed:
+    return removed
+
+
+def removal_note(removed: Mapping[Path, Sequence[Path]]) -> str:
+    """Return a sentence on results whose source is no longer there, see `removed_results`; empty if there are none."""
+    programs = [program for written_programs in removed.values() for program in written_programs]
+    if not programs:
         return ""
-    return f"Written by an earlier run from programs that are no longer there: {path_list(removed)}. Do not load them."
+    return f"Written by an earlier run from programs that are no longer there: {path_list(programs)}. Do not load them."
 
 
 def _earlier_programs(job: Job, mode: Mode) -> list[str]:

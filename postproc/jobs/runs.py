@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from postproc import files, interrupts
 from postproc.cell import Cell
 from postproc.jobs.conversion import convert
-from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task
+from postproc.jobs.output_plan import OVERVIEW, OutputPlan, Task, removed_programs
 from postproc.jobs.programs import GOOD, Job, Outcome, Settings, load_setup
 from postproc.report.index import Entry, ReportEntry, index_page
 from postproc.robot import RobotModel
@@ -219,6 +219,7 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
     :raises InputError: an overview cannot be written.
     """
     outcome_of_program = {outcome.program: outcome for outcome in outcomes}
+    removed = removed_programs(jobs) if folders else {}
     for folder in folders:
         folder_outcomes = [outcome_of_program[str(job.program)] for job in jobs if job.output == folder]
         entries = [
@@ -232,16 +233,19 @@ def _write_overviews(folders: Sequence[Path], jobs: Sequence[Job], outcomes: Seq
             for outcome in folder_outcomes
             if outcome.summary is None
         ]
-        write_overview(folder, entries)
+        write_overview(folder, entries, removed)
 
 
-def write_overview(folder: Path, entries: Sequence[Entry]) -> None:
+def write_overview(folder: Path, entries: Sequence[Entry], removed: Collection[Path]) -> None:
     """Write the overview of a folder: the programs that were written to it, and further programs.
 
     :param entries: entries of programs that were not written.
+    :param removed: reports of the folder whose program is no longer there.
     :raises InputError: it cannot be written.
     """
-    content = files.seal(_HEAD + index_page([*entries, *reported_programs(folder)], folder.resolve().name))
+    removed_pages = {_page_of(report) for report in removed}
+    reported_entries = [replace(entry, is_removed=entry.page in removed_pages) for entry in reported_programs(folder)]
+    content = files.seal(_HEAD + index_page([*entries, *reported_entries], folder.resolve().name))
     files.write_whole(folder, {OVERVIEW: content})
 
 
@@ -261,6 +265,11 @@ def _entry(path: Path) -> Entry | None:
         content = msgspec.convert(json.loads(path.read_bytes()), ReportEntry)
         if content.mode == "predict":
             return None
-        return Entry(content.program, path.name.removesuffix(_REPORT) + ".report.html", content)
+        return Entry(content.program, _page_of(path), content)
     except (OSError, ValueError):
         return None
+
+
+def _page_of(report: Path) -> str:
+    """Return the name of the page of a report file."""
+    return report.name.removesuffix(_REPORT) + ".report.html"

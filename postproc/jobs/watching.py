@@ -34,7 +34,14 @@ from postproc.errors import InputError, PostprocError
 from postproc.jobs import inputs
 from postproc.jobs.called_files import CalledFiles
 from postproc.jobs.conversion import options_of, origin_of
-from postproc.jobs.output_plan import OVERVIEW, leftover_note, same_names, shared_name_problem
+from postproc.jobs.output_plan import (
+    OVERVIEW,
+    leftover_note,
+    removal_note,
+    removed_results,
+    same_names,
+    shared_name_problem,
+)
 from postproc.jobs.programs import (
     FAILED,
     GOOD,
@@ -215,6 +222,9 @@ class _Watcher:
     :ivar last_changes: program → its signature, and the monotonic time of the last change [s].
     :ivar finished: program → signature with which it was converted, or refused.
     :ivar entries: content of the state file: name of the program → entry.
+    :ivar listing: programs of the folder at the last scan that had none to convert; `listing_since`: monotonic time
+        since which they are the same [s]; `is_listing_reported`: whether programs that are no longer there were named.
+    :ivar removed: reports of programs that are no longer there and were named.
     :ivar reported: sentences that were passed to `say` and are not repeated.
     """
 
@@ -246,6 +256,9 @@ class _Watcher:
         self.setup_since, self.is_setup_read = 0.0, False
         self.cell: Cell | None = None
         self.called_files = CalledFiles(folder, options.get("dialect"))
+        self.listing: frozenset[Path] = frozenset()
+        self.listing_since, self.is_listing_reported = -QUIET, False
+        self.removed: frozenset[Path] = frozenset()
 
     def scan(self, time_s: float) -> list[Path]:
         """Return the programs to convert: they are new or have changed, and can be read.
@@ -276,6 +289,8 @@ class _Watcher:
                 self.last_changes[path] = (signature, time_s)
             elif time_s - change_time >= QUIET and not self._waits_for_forces(path) and self._is_new(path, signature):
                 ready.append(path)
+        if not ready:
+            self._report_removed(frozenset(signatures), time_s)
         return ready if is_setup_quiet and ready and self._can_write() else []
 
     def _forget_removed(self, programs: Collection[Path]) -> None:
@@ -291,6 +306,27 @@ class _Watcher:
             self.finished.pop(removed_path, None)
             if removed_path in self.same_named:
                 self._retry_same_named()
+
+    def _report_removed(self, programs: frozenset[Path], time_s: float) -> None:
+        """Name the results of programs that are no longer in the folder, here and in the overview.
+
+        That is done at the start, and once the programs of the folder have been others for `QUIET`, because an editor
+        may remove a file that it replaces.
+
+        :param programs: programs of the folder; `time_s`: monotonic time [s].
+        """
+        if programs != self.listing:
+            self.listing, self.listing_since, self.is_listing_reported = programs, time_s, False
+        if self.is_listing_reported or time_s - self.listing_since < QUIET or not self.output.is_dir():
+            return
+        self.is_listing_reported = True
+        removed = removed_results(self.output, [self.folder])
+        note = removal_note({report: removed[report] for report in removed if report not in self.removed})
+        if note:
+            self.say(note)
+        if removed.keys() != self.removed:
+            self.removed = frozenset(removed)
+            self._write_overview()
 
     def _retry_same_named(self) -> None:
         """Remove the results of programs that were refused for a shared name: the next scan tries them again."""
@@ -410,7 +446,7 @@ class _Watcher:
             if entry.reason and (self.folder / name).is_file()
         ]
         try:
-            write_overview(self.output, failures)
+            write_overview(self.output, failures, removed_results(self.output, [self.folder]))
         except InputError as cause:
             self._report_new(str(cause))
 

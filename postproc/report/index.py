@@ -14,11 +14,12 @@ from postproc.report.formatting import State, two_digit_text
 from postproc.report.kit import Cell, Kind, Note, Notes, Page, Part, Row, Section, Table, Tile, Tiles
 from postproc.report.text import number_text, percent_text
 
-_STATES_BY_SEVERITY = ("nothing", "failed", "no forces", "warning", "ok", "called")
+_STATES_BY_SEVERITY = ("nothing", "failed", "removed", "no forces", "warning", "ok", "called")
 """States of an entry, the worst first."""
 _STATE_WORDS: dict[str, tuple[str, Kind]] = {
     "nothing": ("nothing written", "error"),
     "failed": ("do not run", "error"),
+    "removed": ("do not load", "error"),
     "no forces": ("no forces", "warning"),
     "warning": ("look first", "warning"),
     "ok": ("may be run", "good"),
@@ -91,6 +92,7 @@ class Entry(Struct, frozen=True):
     :param content: content of its `report.json`; None: the program was not written.
     :param message: reason why the program was not written.
     :param called: it is a subprogram, which is written with the programs that call it.
+    :param is_removed: its file is no longer there: the written program is that of an earlier run.
     """
 
     name: str
@@ -98,15 +100,19 @@ class Entry(Struct, frozen=True):
     content: ReportEntry | None
     message: str = ""
     called: bool = False
+    is_removed: bool = False
 
     @property
     def state(self) -> str:
         """State of the verdict, or ``"no forces"`` if nothing was corrected for lack of forces.
 
-        Programs that were not written: ``"called"`` for subprograms, else ``"nothing"``.
+        Programs that were not written: ``"called"`` for subprograms, else ``"nothing"``. Programs that are no longer
+        there: ``"removed"``.
         """
         if self.content is None:
             return "called" if self.called else "nothing"
+        if self.is_removed:
+            return "removed"
         state = self.content.verdict.state
         return "no forces" if state == "warning" and self.content.max_force_N == 0.0 else state
 
@@ -200,11 +206,12 @@ def _program_row(entry: Entry) -> Row:
     if content is None:
         return Row((name, Cell(state_text, kind), entry.message if entry.called else "see below", *("-",) * 7))
     better, tolerance = content.verdict.better, content.verdict.tolerance
+    reason = "" if entry.state == "ok" else content.verdict.reasons[0]
     return Row(
         (
             name,
             Cell(state_text, kind),
-            content.verdict.reasons[0] if entry.state != "ok" else "",
+            "the program is no longer there" if entry.is_removed else reason,
             str(content.targets),
             *("unknown" if length is None else two_digit_text(length) for length in content.expected_mm),
             "-" if better is None or better.chance is None else chance_in_words(better.chance),
