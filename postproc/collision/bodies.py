@@ -201,10 +201,12 @@ def arm_capsules(chain: Chain) -> Iterator[Body]:
 
 
 def _forward_directions(chain: Chain) -> dict[int, Array]:
-    """Return carrier (base, A1, A3) → unit vector (3,) in the frame of the carrier that points forwards.
+    """Return carrier → unit vector (3,) in the frame of the carrier that points forwards.
 
+    A carrier is the link that a body moves with: −1 is the base, 0 the link behind A1, 2 that behind A3.
     A1 points to A2. The base points in the direction of A1 at zero. A3 points along the axis of A4 to the wrist.
     """
+    # `placement` has the frame of each axis in that of the axis before it, `axis` its direction in its own frame
     to_a2 = chain.placement[1, :3, 3]
     to_a2 = _unit(to_a2 - chain.axis[0] * (to_a2 @ chain.axis[0]))
     turn = chain.placement[3, :3, :3]

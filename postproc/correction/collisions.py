@@ -502,12 +502,24 @@ class _StockSearch:
             yield from self.contacts(is_open & (motion >= middle))
 
     def _contacts_with_stock(self, motion: int, samples: Bools) -> list[Contact]:
-        """Return the contacts with the stock as it is before a motion, at or before samples (N,)."""
+        """Return the contacts with the stock as it is before a motion.
+
+        :param samples: (N,) True for samples that are searched, each with the path from the sample before it.
+        """
         points, faces = self.stock.mesh(motion)
         self.stock_count += 1
         if not len(points):
             return []
-        body = Body(STOCK, -1, "obstacle", "mesh", (), np.eye(4), points, faces)
+        body = Body(
+            name=STOCK,
+            carrier=-1,  # the robot root
+            role="obstacle",
+            kind="mesh",
+            size=(),
+            pose=np.eye(4),
+            points=points,
+            faces=faces,
+        )
         if self.solids is None:
             self.solids = _solids(self.scene, self.bodies, [body])
         else:

@@ -242,10 +242,12 @@ _COMPONENTS = 6
 
 
 def _force_displacements(places: LoadedPlaces, reaction: Array | None) -> tuple[Array, ...]:
-    """Return the displacements (N, 3, k) by one standard deviation of the forces for each correlation that is possible.
+    """Return the displacements (N, 3, k) by one standard deviation of each force component, or of a common factor.
+
+    Errors of the components are either independent, or all in proportion to one factor; both are returned if unknown.
 
     A standard deviation makes a component of the wrench larger in size, whatever its sign. Where the error of the
-    cutting law is `RobotModel.force_factor`, which counts as a parameter, only the other errors of the forces are left.
+    cutting law is counted as a parameter already (`RobotModel.force_factor`), only the other errors are returned.
 
     :param reaction: (N, 3, 6) displacement per wrench; None if the forces are certain: then k is 0.
     :returns: one entry for independent components alone; two if errors may also be one factor: for independent

@@ -23,38 +23,41 @@ _TANGENT_OFFSET = 0.01
 (assumed)."""
 
 
-def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
-    """Return the FEED axes (n, 3, 3) as columns in `$BASE`.
+def feed_axes(program: Program, path: Segments, sample: Toolpath, axis: str, inherited_travels: Array) -> Array:
+    """Return the FEED axes (n, 3, 3) as columns in `$BASE`: those of forces that are stated relative to the travel.
 
     z is along the spindle, from the tip to the spindle; x is along the component of the travel perpendicular to z;
     y = z × x.
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param last: (M, 3) x for motions along the spindle, see `last_travel`; where it is NaN, any x perpendicular to z.
+    :param inherited_travels: (M, 3) x for motions along the spindle: that of the last motion across it, see
+        `last_travel`; where it is NaN, any x perpendicular to z.
     """
     z = _towards_spindle(sample, axis)
     x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, sample.t))
     parallel_rows = np.flatnonzero(sine < _PARALLEL_SINE)
     if len(parallel_rows):
-        x[parallel_rows] = _directions_along_spindle(program, path, sample.take(parallel_rows), axis, last)
+        x[parallel_rows] = _directions_along_spindle(program, path, sample.take(parallel_rows), axis, inherited_travels)
     return np.stack([x, np.cross(z, x), z], axis=-1)
 
 
-def _directions_along_spindle(program: Program, path: Segments, sample: Toolpath, axis: str, last: Array) -> Array:
+def _directions_along_spindle(
+    program: Program, path: Segments, sample: Toolpath, axis: str, inherited_travels: Array
+) -> Array:
     """Return x (n, 3) of FEED axes in `$BASE` at samples whose travel is along the spindle.
 
     Where an arc is tangent to the spindle, x is that at a point of the arc nearby. On a motion along the spindle, x is
     that of the last motion across the spindle; without such a motion, any direction perpendicular to the spindle.
 
     :param axis: axis of the tool frame that points from the spindle to the tip: "+Z", "-Z", "+X" or "-X".
-    :param last: (M, 3) x for motions along the spindle, see `last_travel`; NaN without a motion across it.
+    :param inherited_travels: (M, 3) x for motions along the spindle, see `last_travel`; NaN without a motion across it.
     """
     z, t = _towards_spindle(sample, axis), sample.t
     offset_t = np.where(t > _TANGENT_OFFSET, t - _TANGENT_OFFSET, t + _TANGENT_OFFSET)
     x, sine = _perpendicular_directions(z, tangent(program, path, sample.motion, offset_t))
     # motions that are parallel to the spindle all along
     rows = np.flatnonzero(sine < _PARALLEL_SINE)
-    inherited_travel = last[sample.motion[rows]]
+    inherited_travel = inherited_travels[sample.motion[rows]]
     # column − 2 is the next column of the tool frame, perpendicular to the spindle: 2 → 0, 0 → −2, which is 1
     tool_axis = sample.pose[rows, :3, _SPINDLE[axis][0] - 2]
     fallback = np.where(np.isnan(inherited_travel), tool_axis, inherited_travel)

@@ -389,7 +389,10 @@ def _engaged_motions(cuts: Cuts) -> Ints:
 
 
 def _process_forces(task: _Task, swept_program: _SweptProgram) -> ProcessForces:
-    """Return the forces of a swept program, with warnings and notes."""
+    """Return the forces of a program whose cutters were moved through the stock, with warnings and notes.
+
+    The stock over time is kept only with a guard: the parts of the tool that must stay clear of the stock.
+    """
     program, tools, swept_setups = task.program, task.tools, swept_program.swept_setups
     return ProcessForces(
         knots=Knots.join(swept_setups.knots),
@@ -398,7 +401,7 @@ def _process_forces(task: _Task, swept_program: _SweptProgram) -> ProcessForces:
         tools=tools,
         drills=tuple(_ToolColumns.of(tools, task.process).is_drill.tolist()),
         stock=swept_setups.stock,
-        map_in_base=swept_program.setups[-1].frame,
+        map_in_base=swept_program.setups[-1].frame,  # of the remaining stock: the map of the last set-up
         removed_volume=swept_setups.removed_volume,
         issues=tuple(_program_issues(task, swept_program)),
         over_time=None if task.guard is None else _stock_in_time(program, swept_program.setups, swept_setups),

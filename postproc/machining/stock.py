@@ -251,8 +251,8 @@ def _map_extent(lower: Array, upper: Array, cell: float, file: str) -> _MapExten
 def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> Stock:
     """Return the height map of a box from corner `lower` (3,) to `upper` (3,) [m], with cells of width `cell` [m].
 
-    Cells that the box covers in part have the height of the box on the covered share of their area, and no material on
-    the rest.
+    Cells that the box covers in part have the height of the box (`high`) on the covered share of their area; `share` is
+    the rest, which is at `low` and has no material.
 
     :param file: path of the process or of the mesh, for the message.
     :raises ForceError: the map would have too many cells.
@@ -267,7 +267,8 @@ def from_box(lower: Array, upper: Array, cell: float, file: str = "stock") -> St
     floor = np.full((ny, nx), lower[2], dtype=np.float32)
     high = np.where(coverage > 0.0, upper[2], lower[2]).astype(np.float32)
     share = np.where(coverage > 0.0, 1.0 - coverage, 0.0).astype(np.float32)
-    ground = float(lower[2]) + 1e-6  # above `floor`, whose values are rounded to single precision
+    # no material is below `ground`; above `floor`, whose values are rounded to single precision
+    ground = float(lower[2]) + 1e-6
     return Stock(
         x=x,
         y=y,

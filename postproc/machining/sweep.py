@@ -324,13 +324,16 @@ class Sweep(Struct, eq=False):
     ) -> Footprint:
         """Remove the material that a tool along z sweeps, and return the cells under its front, which are not cut yet.
 
+        The front is the half of the tool that moves into material where the segments end. It must meet uncut material
+        next, not cells that it has partly cut.
+
         :param begin: first segment, and `end` the one after the last.
         :param goes_on: the tool moves on from the last segment; else all material is removed, and no cells are
             returned.
         """
         run_begins = _straight_runs(segments, begin, end)
         run_ends = [*(run_begins[1:] - 1), end - 1]
-        heading = segments.arrive[end - 1] if goes_on else None
+        heading = segments.arrive[end - 1] if goes_on else None  # direction of travel where the last segment ends
         return remove(self.stock, cutter, segments.begin[run_begins], segments.end[run_ends], heading)
 
     def _tilted_axes(self, segments: StraightSegments, may_touch: Bools) -> dict[int, list[float]]:

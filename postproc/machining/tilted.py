@@ -252,6 +252,8 @@ class SweptCells(Struct, frozen=True, eq=False):
 def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> SweptCells:
     """Return the cells under a tool that moves from pose to pose, without removing their material.
 
+    Those under its front, the part that moves into material where the path ends, are returned apart.
+
     :param tip: (n, 3) positions of the tip [m] in n > 1 poses close together, frame of the height map.
     :param axis: (n, 3) unit directions to the spindle.
     :param top: height of the highest material near the path [m].
@@ -269,8 +271,8 @@ def sweep(stock: Stock, cutter: Cutter, tip: Array, axis: Array, top: float) -> 
     material, floor = (values.reshape(-1)[cell] for values in (stock.high, stock.floor))
     height_above = np.maximum(material - np.maximum(high, floor), 0.0)  # of the material above the tool
     depth = np.maximum(material - np.maximum(low, floor), 0.0)
-    no_rim = np.zeros(0, dtype=bool)
-    segment = np.zeros(len(cell), dtype=np.int32)  # not used: slopes of turned surfaces are not kept
+    no_rim = np.zeros(0, dtype=bool)  # the footprint of a tilted tool has no cells that are covered in part
+    segment = np.zeros(len(cell), dtype=np.int32)  # not used: no slopes are kept of cells that a tilted tool cuts
     footprint = replace(Footprint.empty(), cell=cell, level=low.astype(np.float32), segment=segment)
     return SweptCells(
         footprint=footprint.selected(~is_front, no_rim),

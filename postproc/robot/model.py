@@ -432,7 +432,8 @@ class RobotModel(Struct, frozen=True, eq=False, dict=True):
     def _stated_basis(self) -> str:
         """Return the origin of compliances that were not identified, in words.
 
-        The best origin comes first. Joints with another origin follow by name: "from published values, A4, A5 assumed".
+        The best origin comes first, in the order of `_BASIS_WORDS`. Joints with another origin follow by name: "from
+        published values, A4, A5 assumed". The parameters of `stated_spread` are those that were not identified.
         """
         joints = dict.fromkeys(
             parameter.joint for parameter in self.stated_spread if isinstance(parameter, JointCompliance)

@@ -104,7 +104,7 @@ class _Executor:
     :ivar spindle: kind of the last event of the spindle.
     :ivar tool: number of the tool in the spindle; None: the program has not selected a tool.
     :ivar pending_arc: arc that ends at the next GOTO; None without one.
-    :ivar circle_before: circle of the arc that ends at the last GOTO, if further points may belong to it; else None.
+    :ivar last_arc_circle: circle of the arc that ends at the last GOTO, if further points may belong to it; else None.
     :ivar sequence_lines: first lines of the NC sequences of Creo.
     :ivar undivided_sequences: sequences in which each arc has one point.
     :ivar leaving_direction: (3,) direction of INDIRV for the next arc; None without one.
@@ -114,14 +114,14 @@ class _Executor:
     :ivar has_world_system: True behind TRNTYP/WORLD.
     :ivar is_tilted_setup: True behind a CSYS with a tilted tool.
     :ivar system_of_file: CAM system that wrote the file; None: not stated.
-    :ivar needs_direction: True if the next GOTO must state the direction of the tool.
+    :ivar is_direction_required: True if the next GOTO must state the direction of the tool.
     :ivar work_offset: number of ZERO; None: not stated.
     :ivar cutter_radius: radius of CUTTER [mm]; NaN: not stated.
     :ivar compensation: active CUTCOM; None without one.
     :ivar move_count: number of moves so far.
     :ivar inch_feed_row: row of the first feed in inches or feet; None without one.
     :ivar end_row: row of FINI or END; −1 without one.
-    :ivar is_in_doubt: True if a statement since the last GOTO had a fault, so that the next arc cannot be checked.
+    :ivar has_fault_since_goto: True if a statement since the last GOTO had a fault: the next arc cannot be checked.
     :ivar partno_row: row of PARTNO; −1 without one.
     :ivar has_path_ended: True if END-OF-PATH was the last statement.
     """
@@ -139,7 +139,7 @@ class _Executor:
         self.is_coolant_on = False
         self.tool: float | None = None
         self.pending_arc: PendingArc | None = None
-        self.circle_before: Circle | None = None
+        self.last_arc_circle: Circle | None = None
         self.sequence_lines = sequence_lines(statements.comments)
         self.undivided_sequences: set[int] = set()
         self.leaving_direction: Array | None = None
@@ -148,14 +148,14 @@ class _Executor:
         self.axis_system: list[float | str] | None = None
         self.has_world_system = self.is_tilted_setup = False
         self.system_of_file = system_of(statements.comments)
-        self.needs_direction = False
+        self.is_direction_required = False
         self.work_offset: float | None = None
         self.cutter_radius = np.nan
         self.compensation: Compensation | None = None
         self.move_count = 0
         self.inch_feed_row: int | None = None
         self.end_row = -1
-        self.is_in_doubt = False
+        self.has_fault_since_goto = False
         self.partno_row = -1
         self.has_path_ended = False
 
@@ -180,7 +180,7 @@ class _Executor:
                 self._execute(row, statements.of(row))
             except StatementError as cause:
                 result.faults.append(_fault_of(cause, row))
-                self.is_in_doubt = True
+                self.has_fault_since_goto = True
         else:
             self._run_plain_gotos(next_row, len(statements))
         self._end_compensation()
@@ -241,18 +241,19 @@ class _Executor:
         """
         self._check_directions(row, np.isnan(numbers[:, 3]))
         if self.system_of_file == "Creo":
+            # Creo omits i, j, k of an upright tool
             numbers = np.where(np.isnan(numbers[:, 3:4]) & _IS_DIRECTION, _UPRIGHT, numbers)
         end, axis = numbers[:, :3] * self.unit, self._axes(row, numbers[:, 3:])
-        self.needs_direction = False
+        self.is_direction_required = False
         first_remaining = 0  # index of the first statement behind the arc
-        circle, self.circle_before = self.circle_before, None
-        is_on_circle_before = circle is not None and circle.fault_at(end[0]) is None
-        if is_on_circle_before:
+        circle, self.last_arc_circle = self.last_arc_circle, None
+        is_on_last_circle = circle is not None and circle.fault_at(end[0]) is None
+        if is_on_last_circle:  # the point may belong to the last arc, or begin the next move
             raise StatementError(*_AMBIGUOUS_POINTS, int(row[0]))
         if self.pending_arc is not None:
             pending, self.pending_arc = self.pending_arc, None
             # an arc that cannot be checked, because of a fault before, is not added: its end is taken as one point
-            first_remaining = 1 if self.is_in_doubt else self._add_pending_arc(pending, row, end, axis)
+            first_remaining = 1 if self.has_fault_since_goto else self._add_pending_arc(pending, row, end, axis)
         if self.cycle is not None:
             for n in range(first_remaining, len(row)):
                 self._add_hole(int(row[n]), end[n], axis[n], self.cycle)
@@ -262,7 +263,7 @@ class _Executor:
         elif first_remaining < len(row):
             self._add_straight_moves(row[first_remaining:], end[first_remaining:], axis[first_remaining:])
         self.axis = axis[-1]
-        self.is_in_doubt = False
+        self.has_fault_since_goto = False
 
     def _check_directions(self, row: Ints, has_no_direction: Bools) -> None:
         """Check that GOTO statements state the direction of the tool where they must.
@@ -278,7 +279,7 @@ class _Executor:
             raise StatementError(
                 "GOTO without a direction in a tilted CSYS", advice, int(row[np.argmax(has_no_direction)])
             )
-        if self.needs_direction and has_no_direction[0]:
+        if self.is_direction_required and has_no_direction[0]:
             advice = "Write the direction of the tool, i, j, k, in this GOTO, or TLAXIS/i,j,k before it."
             raise StatementError("GOTO without a direction behind MULTAX/OFF of a tilted tool", advice, int(row[0]))
 
@@ -384,7 +385,7 @@ class _Executor:
         """Add the arc of a CIRCLE; return the number of the following points that belong to it.
 
         Creo may divide an arc into several points. Fill `undivided_sequences` (NC sequences in which each arc has one
-        point), and `circle_before` if all points belong to the arc.
+        point), and `last_arc_circle` if all points belong to the arc.
 
         :param row: (n,) rows of the statements of the points, n > 0.
         :param end: (n, 3) the points [mm].
@@ -402,7 +403,7 @@ class _Executor:
         if count is None:
             raise StatementError(*_AMBIGUOUS_POINTS, int(row[1]))
         if pending.may_have_points and count == len(row):
-            self.circle_before = pending.circle  # a later GOTO, behind other statements, may belong to the arc too
+            self.last_arc_circle = pending.circle  # a later GOTO, behind other statements, may belong to the arc too
         for n in range(count):
             self._add_arc(int(row[n]), pending, end[n], axis[n])
         return count
@@ -514,7 +515,7 @@ class _Executor:
         major, slash, minor_words = code.partition("/")
         self.has_path_ended = major == "END-OF-PATH"
         if major != "GOTO":
-            self.circle_before = None
+            self.last_arc_circle = None
         if code.startswith("TOOLPATH/"):
             self._add_event(row, "comment", text=self._text_behind(row, "TOOL"))
             return
@@ -730,7 +731,7 @@ class _Executor:
         if words == ["OFF"] and self.system_of_file is None:
             # such files do not say whether OFF keeps the direction. 1 − z is about half the square of the tilt: smaller
             # ones are rounding
-            self.needs_direction = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
+            self.is_direction_required = bool(self.axis[2] < 1.0 - LENGTH_TOLERANCE**2)
 
     def _read_tool_axis(self, row: int, words: list[float | str]) -> None:
         """Read TLAXIS: the direction of the tool.
@@ -746,7 +747,7 @@ class _Executor:
 
     def _set_axis(self, axis: Array) -> None:
         """Set the direction `axis` (3,) of the following moves; the tool turns to it with the next move."""
-        self.axis, self.needs_direction = axis, False
+        self.axis, self.is_direction_required = axis, False
 
     def _read_circle(self, row: int, words: list[float | str]) -> None:
         """Read CIRCLE: an arc that ends at the next GOTO.

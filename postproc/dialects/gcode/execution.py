@@ -507,7 +507,7 @@ class _Execution:
         file, keyword = self.files[self.file_index], o_word.keyword
         if self.faults and keyword in ("IF", "ELSEIF", "WHILE", "REPEAT"):
             raise _EndError  # the condition may depend on an earlier fault
-        link = file.links.get(row, (row,))  # rows of the O-words of this structure, first to last
+        link = file.structure_rows.get(row, (row,))  # rows of the O-words of this structure, first to last
         if keyword == "SUB":
             self.row = link[-1] + 1
         elif keyword in ("ENDSUB", "RETURN"):

@@ -609,7 +609,7 @@ class _Reader:
     def read(self, row: int, code: str) -> None:
         """Read the codes and words of a block; its valid words count even if it has a fault.
 
-        :param row: row of the block; `code`: its packed code, see `Source`.
+        :param row: row of the block; `code`: its packed code: upper case, without blanks, comments replaced by marks.
         :raises BlockError: the first fault of the block.
         """
         if code.lstrip(COMMENT_MARK).startswith("%"):
@@ -623,7 +623,7 @@ class _Reader:
             code, self.is_tape_closed = code.removesuffix("%"), True
         code = self._replace_sender_command(row, code)
         self.code = code
-        if _P_WITH_POINT.search(code):
+        if _P_WITH_POINT.search(code):  # the point may decide the unit of a dwell: see `dwell_time`
             self.rows_with_point.add(row)
         words = words_of(code)
         block = _Block(

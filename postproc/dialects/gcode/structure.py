@@ -118,7 +118,7 @@ class ProgramFile(Struct, eq=False):
     :ivar next_notable_row: (L + 1,) for each row, the first row from it on with an O-word, a parameter, an expression,
         a % or an M code that affects the execution order; L: there is none.
     :ivar subs: label of each subprogram in LinuxCNC style → its row; `numbered_subs`: the same in Fanuc style.
-    :ivar links: row of an O-word → rows of the O-words of its structure, first to last.
+    :ivar structure_rows: row of an O-word → rows of the O-words of its structure, first to last.
     :ivar faults: faults of its O-words.
     """
 
@@ -128,7 +128,7 @@ class ProgramFile(Struct, eq=False):
     next_notable_row: list[int] = []
     subs: dict[str, int] = {}
     numbered_subs: dict[str, int] = {}
-    links: dict[int, tuple[int, ...]] = {}
+    structure_rows: dict[int, tuple[int, ...]] = {}
     faults: list[Fault] = []
 
     @classmethod
@@ -164,7 +164,7 @@ class ProgramFile(Struct, eq=False):
         """
         is_in_subprogram = np.zeros(len(self.source), dtype=np.bool_)
         for first in self.subs.values():
-            last = self.links.get(first, (first,))[-1]  # row of ENDSUB
+            last = self.structure_rows.get(first, (first,))[-1]  # row of ENDSUB
             is_in_subprogram[first : last + 1] = True
         main_rows = np.flatnonzero(~is_in_subprogram).tolist()
         if self.subs and all(_EMPTY_LINE.fullmatch(self.source.line(row)) for row in main_rows):
@@ -174,14 +174,14 @@ class ProgramFile(Struct, eq=False):
             ends = {
                 end
                 for row in main_rows
-                if self.next_notable_row[row] == row
+                if self.next_notable_row[row] == row  # others have no M code that ends a program
                 for end in end_words(self.source.line(row))
             }
             return f"O{int(number[1])}" if "99" in ends and not ends & {"2", "30"} else None
         return None
 
     def _link_structures(self, notable: Ints) -> None:
-        """Fill `links`, `subs`, `numbered_subs` and `faults` from the O-words of the file.
+        """Fill `structure_rows`, `subs`, `numbered_subs` and `faults` from the O-words of the file.
 
         :param notable: (n,) rows that may have O-words, ascending.
         """
@@ -207,8 +207,8 @@ class ProgramFile(Struct, eq=False):
         for structure in open_structures:
             self.faults.append(structure.end_fault())
         # BREAK and CONTINUE, linked to their opening row alone so far, get the rows of the structure that is closed now
-        for row, opening in [(row, link[0]) for row, link in self.links.items() if len(link) == 1]:
-            self.links[row] = self.links.get(opening, (row, row))
+        for row, opening in [(row, link[0]) for row, link in self.structure_rows.items() if len(link) == 1]:
+            self.structure_rows[row] = self.structure_rows.get(opening, (row, row))
 
     def _add_subprogram(self, row: int, label: str, open_structures: Sequence[_OpenStructure]) -> None:
         """Add a subprogram that begins at a row.
@@ -240,7 +240,7 @@ class ProgramFile(Struct, eq=False):
         elif keyword.startswith("END"):
             self._close(row, open_structures, indices[-1])
         elif keyword != "RETURN":  # BREAK or CONTINUE
-            self.links[row] = (open_structures[indices[-1]].rows[0],)
+            self.structure_rows[row] = (open_structures[indices[-1]].rows[0],)
 
     def _close(self, row: int, open_structures: list[_OpenStructure], index: int) -> None:
         """Link the rows of an open structure, which ends at a row, and remove it from `open_structures`.
@@ -252,7 +252,7 @@ class ProgramFile(Struct, eq=False):
         for structure in open_structures[index + 1 :]:
             self.faults.append(structure.end_fault())
         link = (*open_structures[index].rows, row)
-        self.links.update(dict.fromkeys(link, link))
+        self.structure_rows.update(dict.fromkeys(link, link))
         del open_structures[index:]
 
     def _rows_with_o_words(self, notable: Ints) -> Iterator[tuple[int, OWord]]:

@@ -108,11 +108,13 @@ class Move(Struct, frozen=True, eq=False):
 def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setting, frames: Frames) -> Move:
     """Return the motion that an instruction states.
 
-    :param form: order of its arguments.
+    Arguments without a name are, in this order: targets, speed, triggers, zone, tool, further ones such as a signal.
+
+    :param form: numbers of targets, triggers and further arguments of this instruction.
     :param scope: data at this time.
     :param setting: settings that apply to the motion.
     :param frames: function of name and type, which returns the value of a tool or work object of the cell, or None.
-    :raises UnknownValueError: a value is not known before the program runs, or an option is not followed.
+    :raises UnknownValueError: a value is not known before the program runs, or an option is not supported.
     """
     expressions = [
         argument.value for argument in statement.arguments if not argument.name and argument.value is not None
@@ -144,6 +146,7 @@ def stated_move(statement: Instruction, form: Form, scope: Scope, setting: Setti
         zone=_zone_radius(expressions[zone_index], options, scope),
         tool=_frame(expressions[zone_index + 1], "TOOLDATA", scope, frames),
         tool_name=_data_name(expressions[zone_index + 1], scope),
+        # predefined data are pairs of value and type
         wobj=predefined_data()["WOBJ0"][0] if wobj is None else _frame(wobj, "WOBJDATA", scope, frames),
         setting=setting,
     )

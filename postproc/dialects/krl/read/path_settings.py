@@ -108,11 +108,12 @@ class PathSettings:
 
         A value that is not known makes the mode unknown, except for `$IPO_MODE`.
 
+        :param place: source and line of the assignment, for messages.
         :param name: name of the variable.
         :raises ProgramError: `$IPO_MODE` is not known, or is that of a robot that moves the workpiece.
         """
         argument: Value | VariableValue | None = value
-        if isinstance(value, Call) and value.name in _MODE_FUNCTIONS:
+        if isinstance(value, Call) and value.name in _MODE_FUNCTIONS:  # functions of inline forms return their argument
             argument = self.variables.first_argument(value, _MODE_FUNCTIONS[value.name])
         word = self._mode_word(place, name, argument, MODES[name])
         if isinstance(word, ProgramError):

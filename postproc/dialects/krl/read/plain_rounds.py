@@ -46,11 +46,13 @@ def plain_body(source: Source, block: Block) -> PlainBody | None:
     """Return the lines of a FOR that only moves to array elements, sets speeds and distances, and switches outputs.
 
     Elements have an index such as ``I`` or ``I+1``; speeds and approximation distances may be such elements too.
+    Assignments of literals, such as ``$VEL.CP=0.1``, are allowed and not returned: they are the same in each round.
 
     :returns: None if the loop does anything else, or has no motion.
     """
     head = simple_head(source, block)
-    if head is None or bounds_use_any(head, {head.name}):  # the bounds use the counter
+    # no FOR with a simple variable as counter, or its bounds use the counter
+    if head is None or bounds_use_any(head, {head.name}):
         return None
     motions, settings, triggers = [], [], []
     for node in block.parts[0].nodes:

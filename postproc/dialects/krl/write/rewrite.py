@@ -133,14 +133,17 @@ class _Rewriter:
         return WrittenProgram(documents, output_line, dialect="krl", issues=group_issues(self.issues))
 
     def _mentions_of_points(self) -> Mentions:
-        """Return the places at which code names variables, see `mentions`; empty if no motion names a point."""
-        moves = self.layout.statements
+        """Return the places at which code names variables: name → (row of the trace, offset in the line).
+
+        The trace has the lines in execution order. Empty if no motion names a point.
+        """
+        moves = self.layout.statements  # number of a motion → its statement
         has_names = self.layout.elements or any(
             move.end.name or (move.via and move.via.name) for move in moves.values()
         )
-        # lines of all motions that are not in `statements`: they name no points, except array elements
-        plain_rows = np.delete(self.layout.trace_row, list(moves))
-        return mentions(self.layout.execution, plain_rows) if has_names else {}
+        # lines of all motions that are not in `statements` name no points, except array elements: they are skipped
+        rows_without_names = np.delete(self.layout.trace_row, list(moves))
+        return mentions(self.layout.execution, rows_without_names) if has_names else {}
 
     def _is_straightened(self) -> Bools:
         """Return whether a target (K,) is a line in place of a circle of the program."""
