@@ -153,7 +153,7 @@ def _round_lengths(stock: Stock, turn: Turn, corners: Corners, z: Floats, has_pa
     levels = [high.take(cell) for cell in cells]
     plane_rises = _plane_rises(stock, corners, pieces)
     rises: list[Floats] | list[None] = surface_rises(levels, weights, plane_rises) if plane_rises else [None] * 4
-    is_near_floor = float(z.min()) < stock.ground
+    is_near_floor = float(z.min()) < stock.ground  # the highest lower side of the material, of all cells
     height = np.zeros(base.shape, dtype=np.float32)
     for cell, weight, level, surface_rise in zip(cells, weights, levels, rises, strict=True):
         cell_height = height_below(level, surface_rise)

@@ -595,6 +595,7 @@ def _is_under_front(stock: Stock, cutter: Cutter, cell: Ints, point: Array, dire
     :param point: (3,) position of the tip [m]; `direction` (3,) unit direction of its travel.
     :param rim: True: the cells are those that the cylinder covers in part; False: those under the end of the tool.
     """
+    # x, y: middle of each cell from the tip
     row, column = np.divmod(cell, stock.high.shape[1])
     x = stock.x + (column + 0.5) * stock.cell - point[0]
     y = stock.y + (row + 0.5) * stock.cell - point[1]

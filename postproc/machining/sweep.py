@@ -149,7 +149,9 @@ class Sweep(Struct, eq=False):
         """
         self.top = self.stock.top
         may_touch = self._can_touch(segments, self.top)
-        uncut_front = Footprint.empty()  # under the front of the tool where a group of segments ends
+        # cells under the front of the tool (the part that moves into material) where a group of segments ends: they are
+        # cut when the tool has passed, as the next group must meet uncut material
+        uncut_front = Footprint.empty()
         for begin, end in self._groups(segments, may_touch):
             if progress is not None:
                 progress(end)

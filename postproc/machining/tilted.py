@@ -585,7 +585,8 @@ def tilted_cut_edge(stock: Stock, turn: Turn, point: Array, axes: Array) -> Enga
     depth[:, turn.bottom] -= np.float32(_FLUSH_DEPTH)
     extent = _vertical_extents(turn, axes)
     share_in_material = np.clip(0.5 + depth / extent, 0.0, 1.0)  # half of a piece whose middle is on the surface
-    if float(z.min()) < stock.ground:  # below its floor a cell has no material
+    # `ground` is above the lower sides (`floor`) of all cells; below its floor a cell has no material
+    if float(z.min()) < stock.ground:
         share_in_material *= z > floor.take(corners.cell[0])
     return EngagedEdge(share_in_material * turn.length, np.zeros((len(x), 0), dtype=np.float32))
 
