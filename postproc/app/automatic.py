@@ -69,7 +69,8 @@ class AutomaticConversion:
     def step(self, time_s: float) -> None:
         """Begin to correct the first program that is ready and has no current results.
 
-        Nothing begins while the switch is off or a command runs. Programs with current results are finished.
+        Nothing begins while the switch is off or a command runs. Programs whose results are up to date are
+        finished; those that users convert themselves count as converted when their command has ended.
 
         :param time_s: monotonic time [s].
         """

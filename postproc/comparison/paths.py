@@ -236,6 +236,8 @@ class Chain(Struct, frozen=True, eq=False):
     def of(cls, side: PlacedProgram, paired_rows: Ints) -> Chain:
         """Return the chain of the motions between the first and the last pair.
 
+        A pair is a motion of the nominal program and its partner in the corrected one, which ends at the same target.
+
         :param paired_rows: (P,) motions of the program that end at the pairs.
         """
         row = np.arange(paired_rows[0] + 1, paired_rows[-1] + 1)
@@ -247,7 +249,8 @@ class Chain(Struct, frozen=True, eq=False):
         share_of_count = (row - previous_row) / (next_row - previous_row)  # for stretches without length
         share = np.where(stretch_length > NO_DISTANCE, share_of_length, share_of_count)
         end = np.where(row == next_row, pair, np.minimum(pair - 1 + share, pair))
-        return cls(side.program, side.segments, row, pair, np.concatenate([[0.0], end[:-1]]), end)
+        begin = np.concatenate([[0.0], end[:-1]])
+        return cls(side.program, side.segments, row=row, pair=pair, begin=begin, end=end)
 
     def at(self, u: Array) -> tuple[Ints, Array]:
         """Return the motions (n,) and the places t (n,) on them, in (0, 1], at u (n,), 0 < u <= P − 1.

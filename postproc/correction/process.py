@@ -748,6 +748,9 @@ def _initial_issues(program: Program, robot: RobotModel, cell: Cell, mode: Mode)
 def _result_under_load(task: Task, motions: MotionsUnderLoad) -> Result:
     """Return the result of motions under load: drafted until the tolerance holds, and checked for collisions.
 
+    A draft is a program with its targets chosen, written as text, read back and simulated under load. Drafting may add
+    an issue to the task. In the mode "predict", the correction only serves to place the targets.
+
     :raises ImpossiblePathError: a pose is out of reach or has no loaded equilibrium.
     """
     task, draft = _refine_until_tolerated(task, motions)

@@ -676,6 +676,7 @@ def geometry_folder(
 ) -> IdentifiedFolder:
     """Calibrate the geometry from readings without load and write the model folder.
 
+    :param measurements: file of the measured positions.
     :param experiment: path of `experiment.toml`.
     :param output: model folder to write.
     :param model: folder of the model whose springs predict the sag; None: the robot of the experiment.
@@ -685,8 +686,8 @@ def geometry_folder(
     """
     setup = read_experiment(experiment)
     folder = model or robots.find(setup.robot, experiment.parent)
-    content = read_prior(folder, setup.payload, experiment.name)
-    nominal = robots.load(folder).nominal
+    content = read_prior(folder, setup.payload, experiment.name)  # of model.toml
+    nominal = robots.load(folder).nominal  # the geometry that the controller uses
     robot = robots.assemble(folder.resolve().name, content, nominal)
     data = read(measurements, setup, needs_loads=False)
     _require_positions(data, measurements)
@@ -757,7 +758,11 @@ def _parameter_lines(parameters: Mapping[str, record.Parameter]) -> list[str]:
 
 
 def _geometry_lines(geometry: record.Geometry) -> list[str]:
-    """Return the geometry parameters, one a line, then the errors of the variants that were tried, and the bound."""
+    """Return the geometry parameters, one a line, and the errors of the variants that were tried.
+
+    A parameter that the readings do not narrow is not observable; it is determined if its interval is at most as large
+    as its value. The last line tells how far positions may be off: the bound on errors of programs includes it.
+    """
     lines = []
     for name, entry in geometry.parameters.items():
         note = _UNCERTAIN_NOTE if entry.determined is False else ""

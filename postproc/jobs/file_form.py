@@ -100,17 +100,18 @@ def parse(text: str, file: str, error: type[InputError]) -> Any:
 def fields_of_table(document: Any, schema: str, table: str, *kinds: Kind) -> Iterator[FormField]:
     """Yield the fields of a table; they are empty if the document lacks the table.
 
-    No field is yielded if the name of the table has another kind of value, nor for keys that `_field` leaves out.
+    No field is yielded if the name of the table has another kind of value, nor for a key whose value does not fit
+    in a line of text, such as a table.
 
-    :param schema: see `table_schema`.
+    :param schema: name of the schema of the file.
     :param kinds: kinds of fields to yield; none given: all.
     """
     content = _table(document, table)
     if content is None:
         return
     limits = table_schema(schema, table)
-    for key, part in limits.keys.items():
-        field = _field(table, key, part, content.get(key), is_required=key in limits.required)
+    for key, key_schema in limits.keys.items():
+        field = _field(table, key, key_schema, content.get(key), is_required=key in limits.required)
         if field is not None and (not kinds or field.kind in kinds):
             yield field
 

@@ -160,10 +160,11 @@ def file_values(fit: Fit) -> tuple[Array, Array]:
 
 
 def agreement(fit: Fit, prior: Prior, outliers: tuple[str, ...] = ()) -> Agreement:
-    """Return how a model agrees with a part.
+    """Return how a model agrees with a test part that was cut with the robot and then probed.
 
-    :param fit: fit of the part with `prior.widen()`, so that the readings decide.
-    :param prior: the model with its own covariance.
+    :param fit: fit of the part with `prior.widen()`, wider by changes of the robot, so that the readings decide.
+    :param prior: the model with its own covariance. The last entry of its `sigma`, and of the change from it, is the
+        scale of the forces.
     :param outliers: names of points left out of the fit.
     """
     fault = _part_fault(fit, outliers)
