@@ -704,7 +704,7 @@ def geometry_folder(
         warnings=[*(f"outlier: {name}" for name in outliers), *doubts, *calibration.warnings(geometry, data.sigma)],
     )
     write(output, geometry.content, report, folder, render)
-    return IdentifiedFolder(None, report, summary(report))
+    return IdentifiedFolder(result=None, data=report, text=summary(report))  # no compliances were identified
 
 
 def summary(data: record.IdentificationRecord) -> str:
