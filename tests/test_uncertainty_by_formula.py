@@ -181,7 +181,7 @@ def forces_on_a1(torques) -> np.ndarray:
 def test_a_direction_changes_between_the_last_and_the_next_torque_that_counts(torques, expected):
     q = np.repeat(Q[:1], 4, axis=0)
     found = elastostatics.reversals(ROBOT, q, OFF_AXIS_TOOL, forces_on_a1(torques))
-    pairs = [(int(a), int(b)) for a, b, j in zip(found.before, found.row, found.joint, strict=True) if j == 0]
+    pairs = [(int(a), int(b)) for a, b, j in zip(found.previous_row, found.row, found.joint, strict=True) if j == 0]
     assert pairs == expected
     assert (np.diff(found.row) >= 0).all()
 
@@ -192,6 +192,6 @@ def test_a_gear_with_lost_motion_changes_its_flank_beyond_its_own_torque(torque)
     q = np.repeat(Q[:1], 4, axis=0)
     found = elastostatics.reversals(model, q, OFF_AXIS_TOOL, forces_on_a1((5.0, 3.0, -3.0, -5.0)))
     (at,) = np.flatnonzero(found.joint == 0)
-    assert (found.before[at], found.row[at]) == ((1, 2) if torque == 2.0 else (0, 3))
+    assert (found.previous_row[at], found.row[at]) == ((1, 2) if torque == 2.0 else (0, 3))
     assert found.step[at] == pytest.approx(2e-4 * np.linalg.norm(lever(0, 0)), rel=1e-6)
     assert (found.step[found.joint != 0] == 0.0).all()

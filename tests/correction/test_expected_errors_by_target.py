@@ -74,7 +74,7 @@ def at(draft, k, turning):
     series = None if tool is None else tool.matrices(pose[:, :3, :3])
     spread = path.motions.forces.spread_in_root(path.sample.take(sample))
     load = draft.q[sample], path.tool(sample), path.wrench_in_root(sample)
-    errors = {"force_spread": spread, "in_series": series, "turning": turning}
+    errors = {"force_spread": spread, "in_series": series, "changes_flank": turning}
     sources = elastostatics.sources_of_error(ROBOT, elastostatics.LoadedPlaces.of(*load, **errors))
     return sources, elastostatics.position_bound(ROBOT, *load, **errors)[0]
 

@@ -59,10 +59,8 @@ def test_a_hole_that_is_hardly_wider_than_the_tool(tmp_path, sense, wider, resol
 def test_every_linear_material_in_a_slot(tmp_path, name, entry):
     text = gcode("G0 X-10 Y0 Z5", "G1 Z-3 F2400", "X110 (here)")
     program, found = forces(tmp_path, text, process(tool(10, 4), BOX, 0.5, f'name = "{name}"'))
-    k = (
-        entry.Ktc_N_per_mm2, entry.Kte_N_per_mm, entry.Krc_N_per_mm2, entry.Kre_N_per_mm, entry.Kac_N_per_mm2,
-        entry.Kae_N_per_mm,
-    )  # fmt: skip
+    keys = ("Ktc_N_per_mm2", "Kte_N_per_mm", "Krc_N_per_mm2", "Kre_N_per_mm", "Kac_N_per_mm2", "Kae_N_per_mm")
+    k = [getattr(entry, key) or 0.0 for key in keys]
     wrench = on_line(program, found, line_of(text, "X110 (here)"), 0.5)
     expected = altintas(4, 3, 0.1, k, 0, math.pi)
     np.testing.assert_allclose(wrench[:3], expected, rtol=2e-3, atol=1e-3 * np.linalg.norm(expected))

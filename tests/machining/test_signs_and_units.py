@@ -41,12 +41,13 @@ def mean_force(entry, mode, chip, depth=DEPTH):
     angle = begin + step * (np.arange(4000) + 0.5)
     h = chip * np.sin(angle)
     if entry.kc11_N_per_mm2 is None:
-        tangential = entry.Ktc_N_per_mm2 * h + entry.Kte_N_per_mm
-        radial = entry.Krc_N_per_mm2 * h + entry.Kre_N_per_mm
-        axial = entry.Kac_N_per_mm2 * h + entry.Kae_N_per_mm
+        tangential = entry.Ktc_N_per_mm2 * h + (entry.Kte_N_per_mm or 0.0)
+        radial = entry.Krc_N_per_mm2 * h + (entry.Kre_N_per_mm or 0.0)
+        axial = (entry.Kac_N_per_mm2 or 0.0) * h + (entry.Kae_N_per_mm or 0.0)
     else:
         tangential = entry.kc11_N_per_mm2 * h ** (1.0 - entry.mc)
-        radial, axial = entry.radial_ratio * tangential, entry.axial_ratio * tangential
+        radial_ratio = 0.3 if entry.radial_ratio is None else entry.radial_ratio
+        radial, axial = radial_ratio * tangential, (entry.axial_ratio or 0.0) * tangential
     x = -tangential * np.cos(angle) - radial * np.sin(angle)
     y = tangential * np.sin(angle) - radial * np.cos(angle)
     return TOOL_OF_3_FLUTES.flutes * depth / (2 * np.pi) * step * np.array([x.sum(), y.sum(), axial.sum()])

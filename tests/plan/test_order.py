@@ -120,12 +120,12 @@ def test_plans_of_other_sizes_are_from_two_fifths_to_twice_as_many_poses(monkeyp
     class Task(Struct, frozen=True):
         count: int
         levels: int
-        fixed: tuple[int, ...] = ()
+        fixed_count: int = 0
 
     found = list(search.criterion_by_number(Task(10, 5), 0, SimpleNamespace(value=99.0)))
     sizes = [5, 6, 8, 10, 14, 20]  # no fewer than levels
     assert found == [(count, 99.0 if count == 10 else float(count), 2.0 * count) for count in sizes]
-    assert [row[0] for row in search.criterion_by_number(Task(10, 5, (1,)), 0, SimpleNamespace(value=1.0))] == [
+    assert [row[0] for row in search.criterion_by_number(Task(10, 5, 1), 0, SimpleNamespace(value=1.0))] == [
         4,
         6,
         8,

@@ -116,7 +116,7 @@ def test_all_reversals_with_lost_motion_are_marked_and_no_others():
     base = fabricated.result(30)
     row = np.arange(1, 29)
     step = np.where(row % 4 == 0, 0.0, 1e-5 * row)
-    turned = Reversals(row=row, before=row - 1, joint=row % 6, step=step)
+    turned = Reversals(row=row, previous_row=row - 1, joint=row % 6, step=step)
     marks = _read(replace(base, reversals=turned)).facts["reversals"]
     assert marks == [[int(k), f"A{k % 6 + 1}"] for k in row[step > 0.0]]
     without = replace(base, reversals=replace(turned, step=np.zeros(28)))
