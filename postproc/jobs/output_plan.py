@@ -813,20 +813,22 @@ def removed_programs(jobs: Iterable[Job]) -> dict[Path, list[Path]]:
     sources = {job.program.parent for job in folder_jobs}
     outputs = sorted({job.output for job in folder_jobs})
     return {
-        report: programs
-        for output in outputs
-        for report, programs in removed_results(output, sources).items()
-        if report not in reports
+        report: programs for output in outputs for report, programs in removed_results(output, sources, reports).items()
     }
 
 
-def removed_results(output: Path, sources: Iterable[Path]) -> dict[Path, list[Path]]:
+def removed_results(
+    output: Path, sources: Iterable[Path], current_reports: Collection[Path] = ()
+) -> dict[Path, list[Path]]:
     """Return the results in a folder whose source is no longer there: report → its written programs that exist.
 
     :param output: folder of the results; `sources`: folders in which the sources may be.
+    :param current_reports: reports of programs that are there: these are not read.
     """
     removed: dict[Path, list[Path]] = {}
     for report in sorted(output.glob("*.report.json")):
+        if report in current_reports:
+            continue
         program = recorded_text(report, "program")
         if any((folder / program).exists() for folder in sources):
             continue
