@@ -354,26 +354,11 @@ class Sweep(Struct, eq=False):
 
         :param begin: first segment, and `end` the one after the last.
         """
-        n = end - begin
-        wrench, zero, no_angle = np.zeros((n, 6)), np.zeros(n), np.full(n, np.nan)
+        wrench = np.zeros((end - begin, 6))
         t = 0.5 * (segments.first[begin:end] + segments.last[begin:end])
         heading = segments.leave[begin:end]
         axis_sine = np.hypot(heading[:, 0], heading[:, 1])
-        is_axial = axis_sine < _AXIAL_SINE
-        return Cuts(
-            motion=segments.motion[begin:end],
-            t=t,
-            wrench=wrench,
-            deviation=wrench,
-            is_axial=is_axial,
-            torque=zero,
-            power=zero,
-            enter=no_angle,
-            leave=no_angle,
-            depth=zero,
-            width=zero,
-            rate=zero,
-        )
+        return _cuts_of_air(segments.motion[begin:end], t, axis_sine < _AXIAL_SINE, wrench, wrench)
 
     def _upright_cuts(self, segments: StraightSegments, begin: int, end: int, number: int) -> Iterator[Cuts]:
         """Yield the loads at stations along segments of tool `number`, in chunks that limit memory.
@@ -488,21 +473,7 @@ class Sweep(Struct, eq=False):
         wrench, rpm, hand = loads.wrench, self.tools.rpm[motion], self.tools.hand[motion]
         wrench[:, [1, 3, 5]] *= hand[:, None]  # mirrored in y: Fy, Mx and Mz change their signs
         if not cuts.any():
-            no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
-            return Cuts(
-                motion=motion,
-                t=t,
-                wrench=wrench,
-                deviation=loads.deviation,
-                is_axial=is_axial,
-                torque=zero,
-                power=zero,
-                enter=no_angle,
-                leave=no_angle,
-                depth=zero,
-                width=zero,
-                rate=zero,
-            )
+            return _cuts_of_air(motion, t, is_axial, wrench, loads.deviation)
         self.has_contact = True
         # a covariance of the material is in `loads.deviation` already
         material_sigma = self.law.sigma if self.law.covariance is None else 0.0
@@ -613,6 +584,29 @@ class Sweep(Struct, eq=False):
         if number not in self._edges:
             self._edges[number] = edge(self._cutter(number), self.stock.cell)
         return self._edges[number]
+
+
+def _cuts_of_air(motion: Ints, t: Array, is_axial: Bools, wrench: Array, deviation: Array) -> Cuts:
+    """Return n stations at which no edge cuts: engagement, torque and power are 0, the angles NaN.
+
+    :param motion: motions (n,), places `t` (n,) on them, and `is_axial` (n,): whether they are along the spindle.
+    :param wrench: (n, 6) [N, N·m], and `deviation` (n, 6) its standard deviation; kept as they are.
+    """
+    no_angle, zero = np.full(len(t), np.nan), np.zeros(len(t))
+    return Cuts(
+        motion=motion,
+        t=t,
+        wrench=wrench,
+        deviation=deviation,
+        is_axial=is_axial,
+        torque=zero,
+        power=zero,
+        enter=no_angle,
+        leave=no_angle,
+        depth=zero,
+        width=zero,
+        rate=zero,
+    )
 
 
 def _extent(segments: StraightSegments, begin: int, end: int, cutter: Cutter) -> tuple[Array, Array]:

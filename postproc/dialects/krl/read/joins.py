@@ -328,20 +328,20 @@ def _branch_flow(steps: Sequence[Fork | Branch | Join], trace_row: Ints, uncheck
 
 
 def motions_before(
-    execution: Execution, line: Ints, kept_lines: Sequence[int], rows: Iterable[int]
+    execution: Execution, trace_row: Ints, uncorrected_rows: Sequence[int], rows: Iterable[int]
 ) -> Iterator[tuple[int, int]]:
     """Yield for rows of the trace each motion that may be the last before: the row and the motion; −1: none is.
 
     Behind uncorrected motions nothing is yielded. In a LOOP without EXIT the motions that may end its round are among
     those before its first motion.
 
-    :param line: (M,) lines of the trace with the motions.
-    :param kept_lines: lines of uncorrected motions.
+    :param trace_row: (M,) rows of the trace with the motions.
+    :param uncorrected_rows: rows of the trace with motions that stay uncorrected.
     :param rows: other rows of the trace, ascending.
     """
     steps = [step for step in execution.steps if isinstance(step, Fork | Branch | Join)]
-    other_rows, kept_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, kept_lines))
-    moving_rows, loop = np.concatenate([line, kept_rows]), execution.endless_loop
+    other_rows, unknown_rows = (np.array(list(numbers), dtype=np.int64) for numbers in (rows, uncorrected_rows))
+    moving_rows, loop = np.concatenate([trace_row, unknown_rows]), execution.endless_loop
     passed_rows = other_rows
     if loop is not None and loop.first not in moving_rows:  # a motion on its first row is before all waits in it
         passed_rows = distinct(np.append(other_rows, loop.first))
@@ -350,7 +350,9 @@ def motions_before(
     branch_flow = _branch_flow(steps, all_rows, frozenset(step for step in steps if isinstance(step, Join)))
     previous_rows = branch_flow.previous_motions
     # the motions that may be the last up to each row of all rows; none up to an uncorrected motion; −1: the start
-    last_motions: dict[int, set[int]] = {-1: {-1}} | {k: set() for k in np.searchsorted(all_rows, kept_rows).tolist()}
+    last_motions: dict[int, set[int]] = {-1: {-1}} | {
+        k: set() for k in np.searchsorted(all_rows, unknown_rows).tolist()
+    }
 
     def pass_rows() -> None:
         """Store the motions that may be the last up to each row without a motion."""
@@ -358,7 +360,7 @@ def motions_before(
             motions = set[int]()
             for previous in previous_rows.get(index, {index - 1}):
                 if previous not in last_motions:
-                    last_motions[previous] = {int(np.searchsorted(line, all_rows[previous]))}
+                    last_motions[previous] = {int(np.searchsorted(trace_row, all_rows[previous]))}
                 motions |= last_motions[previous]
             last_motions[index] = motions
 

@@ -276,14 +276,14 @@ class _Reading(Struct, frozen=True, eq=False):
             layout=replace(layout, notes=tuple(line for line, _ in order.notes)),
         )
 
-    def _waits(self, run: Run, execution: Execution, line: Ints) -> Iterator[Event]:
+    def _waits(self, run: Run, execution: Execution, trace_row: Ints) -> Iterator[Event]:
         """Yield the waits of a program as dwells, one for each motion at whose end the program may wait.
 
-        :param line: (M,) lines of the trace with the motions.
+        :param trace_row: (M,) rows of the trace with the motions.
         """
         times = waits(execution, self._routines(), run.waiting_calls)
-        kept_lines = [line for line, _ in run.unresolved_motions]
-        for row, motion in motions_before(execution, line, kept_lines, times) if times else ():
+        uncorrected_rows = [row for row, _ in run.unresolved_motions]
+        for row, motion in motions_before(execution, trace_row, uncorrected_rows, times) if times else ():
             yield Event(before=motion + 1, kind="dwell", line=execution.trace.reported_line(row), value=times[row])
 
     def _motion_order(self, follower: TraceFollower, separation: SeparatedMotions) -> _MotionOrder:
